@@ -1,0 +1,55 @@
+"""Raw messages and decoded columns: the two shapes in which data enter fuselog."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Fault(IntEnum):
+    """Why a message gave no usable row; ``NONE`` is a good one."""
+
+    NONE = 0
+    SIZE = 1  # payload truncated, or a length in it that points outside
+    SCHEMA = 2  # payload of another encoding or shape than its schema says
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Messages:
+    """n raw messages of any streams, in arrival order, left where they lie in one buffer.
+
+    ``data[start[i] : start[i] + length[i]]`` is the payload of message i. Times are ns.
+    """
+
+    stream: NDArray[np.int32]  # (n,) the reader's number of the channel
+    data: NDArray[np.uint8]  # (bytes,)
+    start: NDArray[np.int64]  # (n,)
+    length: NDArray[np.int64]  # (n,)
+    log_time: NDArray[np.int64]  # (n,) when it was received
+    publish_time: NDArray[np.int64]  # (n,)
+    sequence: NDArray[np.int64]  # (n,) as the publisher counted, 0 if it did not
+
+    def __len__(self) -> int:
+        return len(self.stream)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Columns:
+    """n messages of one channel as columns: ``values[:, k]`` holds the field ``paths[k]``.
+
+    A message that could not be decoded is a row with its ``fault``; its values are NaN and its stamp 0.
+    """
+
+    t_ns: NDArray[np.int64]  # (n,) the stamp field, exact; 0 when no stamp path was asked for
+    values: NDArray[np.float64]  # (n, width)
+    paths: tuple[str, ...]  # (width,)
+    fault: NDArray[np.uint8]  # (n,) of Fault
+    texts: dict[str, list[str]]  # string fields that were asked for
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def __getitem__(self, path: str) -> NDArray[np.float64]:
+        """The column ``path`` (n,), a view."""
+        return self.values[:, self.paths.index(path)]
