@@ -1,0 +1,8 @@
+"""MCAP logs: read, play, record, reprocess."""
+
+from fuselog.replay.channels import Channel, Schema
+from fuselog.replay.decompress import Limits
+from fuselog.replay.log import Log, RawMessage, open_log
+from fuselog.replay.loss import Loss
+
+__all__ = ["Channel", "Limits", "Log", "Loss", "RawMessage", "Schema", "open_log"]
