@@ -1,11 +1,22 @@
-"""The one typed door to numba: kernels are compiled here, and nowhere else does a checker need an exception."""
+"""The one typed door to numba: kernels are compiled here; no other module needs a checker's exception."""
 
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
+# pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportMissingTypeStubs=false
+# numba and llvmlite ship no stubs.
+
+import sys
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast
 
-import numba  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
+import numba
+import numpy as np
+from llvmlite import ir
+from numba.core import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 def kernel(function: _Kernel) -> _Kernel:
@@ -13,9 +24,40 @@ def kernel(function: _Kernel) -> _Kernel:
 
     No fastmath and no contraction: the same input gives the same bytes on every instruction set.
     """
-    return cast(_Kernel, numba.njit(cache=True, error_model="numpy")(function))  # pyright: ignore[reportUnknownMemberType]  numba ships no stubs
+    return cast(_Kernel, numba.njit(cache=True, error_model="numpy")(function))
 
 
 def inline(function: _Kernel) -> _Kernel:
     """Compile ``function`` for use inside kernels only; it is cached with the kernel that calls it."""
-    return cast(_Kernel, numba.njit(error_model="numpy", inline="never")(function))  # pyright: ignore[reportUnknownMemberType]  numba ships no stubs
+    return cast(_Kernel, numba.njit(error_model="numpy", inline="never")(function))
+
+
+class _Load(Protocol):
+    def __call__(
+        self, data: NDArray[np.uint8], at: int, swapped: bool, dtype: type[_Scalar], /
+    ) -> _Scalar: ...
+
+
+def _load(_context: Any, data: Any, at: Any, swapped: Any, dtype: Any) -> Any:  # noqa: ARG001  types only
+    scalar = dtype.dtype
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        result = context.get_value_type(scalar)
+        word = ir.IntType(scalar.bitwidth)
+        pointer = builder.bitcast(builder.gep(array.data, [arguments[1]]), word.as_pointer())
+        raw = builder.load(pointer, align=1)
+        if scalar.bitwidth > 8:
+            raw = builder.select(arguments[2], builder.bswap(raw), raw)
+        return builder.bitcast(raw, result)
+
+    return scalar(data, types.int64, types.boolean, dtype), generate
+
+
+load = cast(_Load, intrinsic(_load))
+"""Inside kernels: ``load(data, at, swapped, np.float64)`` is the scalar in the bytes from ``data[at]``.
+
+Any alignment; byte-swapped when ``swapped``. Nothing is checked: the caller has looked at the bounds.
+"""
+
+HOST_IS_BIG_ENDIAN = sys.byteorder == "big"
