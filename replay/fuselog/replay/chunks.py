@@ -101,6 +101,9 @@ def from_rows(data: NDArray[np.uint8], rows: NDArray[np.int64]) -> tuple[list[Ch
     chunks: list[Chunk] = []
     broken: list[tuple[int, str]] = []
     index_of = _indexes_after_chunks(data, rows)
+    for row, (_, index_end) in index_of.items():
+        if row < 0 or rows[row, 0] != records.CHUNK:
+            broken.append((index_end, "a message index without its chunk"))
     for i in np.flatnonzero((rows[:, 0] == records.CHUNK) | (rows[:, 0] == records.MESSAGE)).tolist():
         opcode, start, length, first, last = rows[i].tolist()
         if opcode == records.MESSAGE:

@@ -81,7 +81,7 @@ def _read_footer(data: NDArray[np.uint8]) -> tuple[int, int] | None:
     if at < len(MAGIC) or data[-len(MAGIC) :].tobytes() != MAGIC:
         return None
     opcode, length, start, _, crc = _FOOTER.unpack_from(data.data, at)
-    return (start, crc) if (opcode, length) == (records.FOOTER, _FOOTER.size - records.FRAME) else None
+    return (start, crc) if (opcode, length) == (records.FOOTER, records.FOOTER_SIZE) else None
 
 
 def _read_summary(data: NDArray[np.uint8], footer: tuple[int, int], losses: Losses) -> NDArray[np.int64]:
@@ -155,7 +155,8 @@ def _use_scan(
 ) -> None:
     """Take everything from a walk over the data section, opening only chunks with undeclared channels."""
     rows, reached = scan_rows(data, len(MAGIC), len(data))
-    if not np.isin(rows[:, 0], (records.DATA_END, records.FOOTER)).any():
+    is_end = (rows[:, 0] == records.DATA_END) & (rows[:, 2] == records.DATA_END_SIZE)
+    if not (is_end | ((rows[:, 0] == records.FOOTER) & (rows[:, 2] == records.FOOTER_SIZE))).any():
         losses.add(reached, f"broken record at byte {reached}" if sealed else f"truncated at byte {reached}")
     elif not sealed:
         losses.add(len(data), f"truncated at byte {len(data)}: all data, but no whole summary", 0)

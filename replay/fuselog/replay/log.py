@@ -1,6 +1,5 @@
 """A log as its reader sees it: channels, metadata, losses, and messages in log-time order."""
 
-import errno
 import mmap
 import os
 import stat
@@ -113,6 +112,8 @@ class Log:
         reading = Reading(self._opener, self._losses, chosen)
         chunks = [chunk for chunk in self._contents.chunks if reading.wants(chunk)]
         yield from in_time_order(chunks, reading.load)
+        if topics is None:
+            reading.note_undeclared()
         counts = self._contents.message_counts()
         if counts is not None:
             reading.compare({id: n for id, n in counts.items() if topics is None or id in chosen})
@@ -152,8 +153,8 @@ def _map(path: str) -> NDArray[np.uint8]:
             if os.fstat(file.fileno()).st_size == 0:
                 raise LogError(path, 0, "the file is empty")
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except OSError as error:
-        raise LogError(path, 0, os.strerror(error.errno or errno.EIO)) from error
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        raise LogError(path, 0, getattr(error, "strerror", None) or str(error)) from error
     data = np.frombuffer(mapped, np.uint8)
     if data[: len(MAGIC)].tobytes() != MAGIC:
         raise LogError(path, 0, "not an MCAP: it does not begin with the magic bytes")

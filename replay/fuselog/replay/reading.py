@@ -100,6 +100,11 @@ class Reading:
                 reason = f"channel {id}: {came} messages read, {expected} in the statistics"
                 self._losses.add(0, reason, max(expected - came - lost, 0))
 
+    def note_undeclared(self) -> None:
+        """Note the messages that were met of channels not chosen; call it when all channels are."""
+        for id in np.flatnonzero((self._counts > 0) & (self._wanted == 0)).tolist():
+            self._losses.add(0, f"channel {id} is declared nowhere", int(self._counts[id]))
+
     def _fill(self, data: NDArray[np.uint8], begin: int, end: int, n: int) -> tuple[Messages, bool]:
         stream = np.empty(n, np.int32)
         times = np.empty((3, n), np.int64)

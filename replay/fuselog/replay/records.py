@@ -9,6 +9,7 @@ HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 5, 
 CHUNK_INDEX, STATISTICS, METADATA, METADATA_INDEX, DATA_END = 8, 11, 12, 13, 15
 FRAME = 9  # bytes of opcode and length before the content of a record
 MESSAGE_HEADER = 22  # bytes of channel, sequence and the two times before the payload
+DATA_END_SIZE, FOOTER_SIZE = 4, 20  # of their contents, which are never extended
 MAX_TIME = 2**63 - 1  # ns; later times of the file (u64) are read as this one
 
 Integer = int | np.int64  # what a kernel works with
@@ -157,7 +158,7 @@ def scan(
                 n, block = put(rows, n, MESSAGE, block, finish - block, first, last), np.int64(-1)
             n = put(rows, n, opcode, at + FRAME, length, 0, 0)
         at += FRAME + length
-        if opcode in (FOOTER, DATA_END):
+        if (opcode == DATA_END and length == DATA_END_SIZE) or (opcode == FOOTER and length == FOOTER_SIZE):
             break
     if block >= 0:
         n = put(rows, n, MESSAGE, block, finish - block, first, last)

@@ -127,7 +127,8 @@ class LogWriter:
         if not len(messages):
             return
         self._check(messages)
-        self._counts += np.bincount(messages.stream, minlength=_CHANNELS)
+        known = len(self._channels) + 1
+        self._counts[:known] += np.bincount(messages.stream, minlength=known)
         self._first = min(self._first, int(messages.log_time.min()))
         self._last = max(self._last, int(messages.log_time.max()))
         batch, first = Batch.of(messages), 0
