@@ -1,0 +1,170 @@
+"""A batch of events applied in the total order (t_ns, sensor rank, seq), late ones by rewinding. Compiled with ``step``."""
+
+from fuselog.fusion.rows import pointers, row_copy
+from fuselog.fusion.step import COVARIANCE, LD, PACKED, ROW, N, step
+from fuselog.fusion.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
+from fuselog.schemas.compiled import inline, kernel
+
+LATE, DUPLICATE, UNDECIDED = 2, 3, 255
+
+
+@kernel
+def advance(tables: Tables, history: History, work: Work, events: Samples, start: int, rows: Rows) -> int:
+    """Apply events from ``start`` on and write a row for each; returns the first one not applied.
+
+    That is the number of events, or less when the history is full and its owner must give it room.
+    """
+    return advance_all(
+        pointers(tables), pointers(history), pointers(work), pointers(events), start, pointers(rows)
+    )
+
+
+@inline
+def advance_all(tables: Tables, history: History, work: Work, events: Samples, start: int, rows: Rows) -> int:
+    """``advance`` on bare pointers."""
+    for e in range(start, events.count):
+        if not make_room(tables, history):
+            return e
+        sensor, at, decision = events.sensor[e], -1, events.fault[e]
+        if decision == 0:
+            decision, at = admit(tables, history, events, e)
+        if at < 0:
+            history.counts[sensor * DECISIONS + decision] += 1
+        else:
+            insert(tables, history, events, e, at)
+            replay(tables, history, work, at)
+            decision = history.decision[at]
+            forget(tables, history)
+        write(tables, history, at, decision, rows, e)
+    return events.count
+
+
+@inline
+def make_room(tables: Tables, history: History) -> bool:
+    """Move the entries to the front when the end is reached; false when that would free less than half."""
+    head, tail = history.cursor[0], history.cursor[1]
+    if tail + 1 < history.capacity:
+        return True
+    if head < history.capacity // 2:
+        return False
+    for k in range(head, tail + 1):
+        move_sample(tables, history, k, k - head)
+        move_result(tables, history, k, k - head)
+    history.cursor[0], history.cursor[1] = 0, tail - head
+    return True
+
+
+@inline
+def admit(tables: Tables, history: History, events: Samples, e: int) -> tuple[int, int]:
+    """Where the sample belongs: (0, its entry), or (LATE or DUPLICATE, -1)."""
+    head, newest = history.cursor[0], history.cursor[2]
+    t, sensor, k = events.t_ns[e], events.sensor[e], history.cursor[1]
+    if newest != NEVER and t < newest - tables.window_ns:
+        return LATE, -1
+    while k > head and after(history, k, t, sensor, events.seq[e]):
+        k -= 1
+    j = k
+    while j > head and history.t[j] == t and history.sensor[j] == sensor:
+        if same(tables, history, j, events, e):
+            return DUPLICATE, -1
+        j -= 1
+    return 0, k + 1
+
+
+@inline
+def after(history: History, k: int, t: int, sensor: int, seq: int) -> bool:
+    """Whether entry k comes after (t, sensor, seq) in the total order."""
+    if history.t[k] != t:
+        return history.t[k] > t
+    if history.sensor[k] != sensor:
+        return history.sensor[k] > sensor
+    return history.seq[k] > seq
+
+
+@inline
+def same(tables: Tables, history: History, k: int, events: Samples, e: int) -> bool:
+    """Whether entry k holds the same numbers as sample e."""
+    width = tables.M + SAMPLE_WIDTH
+    for i in range(width):
+        if history.z[k * width + i] != events.z[e * width + i]:
+            return False
+    return True
+
+
+@inline
+def insert(tables: Tables, history: History, events: Samples, e: int, at: int) -> None:
+    """Put sample e into entry ``at``; what came after it moves up by one, to be replayed."""
+    for k in range(history.cursor[1], at - 1, -1):
+        move_sample(tables, history, k, k + 1)
+    history.t[at], history.sensor[at], history.seq[at] = events.t_ns[e], events.sensor[e], events.seq[e]
+    history.decision[at] = UNDECIDED
+    width, square = tables.M + SAMPLE_WIDTH, tables.M * tables.M
+    for i in range(width):
+        history.z[at * width + i] = events.z[e * width + i]
+    for i in range(tables.rows[events.sensor[e]] ** 2):
+        history.R[at * square + i] = events.R[e * square + i]
+    history.cursor[1] += 1
+    history.cursor[2] = max(history.cursor[2], events.t_ns[e])
+
+
+@inline
+def replay(tables: Tables, history: History, work: Work, start: int) -> None:
+    """Make every entry from ``start`` on anew, all sensors alike, and keep the ledger true."""
+    for k in range(start, history.cursor[1] + 1):
+        before = history.decision[k]
+        step(tables, history, work, k)
+        ledger = history.sensor[k] * DECISIONS
+        if before != UNDECIDED:
+            history.counts[ledger + before] -= 1
+        history.counts[ledger + history.decision[k]] += 1
+
+
+@inline
+def forget(tables: Tables, history: History) -> None:
+    """Let go of entries that no sample inside the window can come before; the last of them stays as the base."""
+    oldest = history.cursor[2] - tables.window_ns
+    while history.cursor[0] < history.cursor[1] and history.t[history.cursor[0] + 1] < oldest:
+        history.cursor[0] += 1
+
+
+@inline
+def move_sample(tables: Tables, history: History, k: int, to: int) -> None:
+    """Copy the sample of entry k, and what became of it, to entry ``to``."""
+    history.t[to], history.sensor[to], history.seq[to] = history.t[k], history.sensor[k], history.seq[k]
+    history.decision[to] = history.decision[k]
+    width, square = tables.M + SAMPLE_WIDTH, tables.M * tables.M
+    for i in range(width):
+        history.z[to * width + i] = history.z[k * width + i]
+    for i in range(square):
+        history.R[to * square + i] = history.R[k * square + i]
+
+
+@inline
+def move_result(tables: Tables, history: History, k: int, to: int) -> None:
+    """Copy the state after entry k, and how it was corrected, to entry ``to``."""
+    history.nis[to], history.dof[to] = history.nis[k], history.dof[k]
+    for i in range(ROW):
+        history.state[to * ROW + i] = history.state[k * ROW + i]
+    for i in range(tables.M):
+        history.nu[to * tables.M + i] = history.nu[k * tables.M + i]
+        history.S[to * tables.M + i] = history.S[k * tables.M + i]
+        history.absorbed[to * tables.M + i] = history.absorbed[k * tables.M + i]
+
+
+@inline
+def write(tables: Tables, history: History, at: int, decision: int, rows: Rows, e: int) -> None:
+    """Row e of the output: the newest state, and what became of this sample (entry ``at``, if it has one)."""
+    M, s, b = tables.M, history.state, history.cursor[1] * ROW
+    rows.t_ns[e], rows.decision[e] = history.t[history.cursor[1]], decision
+    row_copy(rows.x, e * N, s, b, LD)
+    packed = e * PACKED
+    for i in range(N):
+        row_copy(rows.P, packed, s, b + COVARIANCE + i * LD + i, LD)  # what is too much, the next row covers
+        packed += N - i
+    if at < 0:
+        return
+    rows.nis[e], rows.dof[e] = history.nis[at], history.dof[at]
+    for i in range(M):
+        rows.nu[e * M + i] = history.nu[at * M + i]
+        rows.S[e * M + i] = history.S[at * M + i]
+        rows.absorbed[e * M + i] = history.absorbed[at * M + i]

@@ -1,0 +1,58 @@
+"""Events: one row per sample of any sensor, as numbers that a kernel takes."""
+
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+SAMPLE_WIDTH = 3  # numbers that come with a sample besides what was measured: the position of a beacon
+
+
+class Decision(IntEnum):
+    """What became of a sample. Everything from ``INVALID_NAN`` on is one of the ways to be invalid."""
+
+    FUSED = 0
+    GATED = 1
+    LATE = 2
+    DUPLICATE = 3
+    INVALID_NAN = 4
+    INVALID_SCHEMA = 5
+    INVALID_SIZE = 6
+    INVALID_CLOCK = 7
+    INVALID_COVARIANCE = 8
+    INVALID_UNINITIALISED = 9
+
+
+class Events(NamedTuple):
+    """n samples in arrival order. ``fault`` is ``Decision.FUSED`` for a sample that can be tried."""
+
+    t_ns: NDArray[np.int64]  # (n,) stamp
+    sensor: NDArray[np.int64]  # (n,) rank of the sensor: its place in the configuration
+    seq: NDArray[np.int64]  # (n,) how many samples of this sensor came before
+    fault: NDArray[np.uint8]  # (n,) of Decision
+    z: NDArray[np.float64]  # (n, M + SAMPLE_WIDTH) measured numbers, then what came with them
+    R: NDArray[np.float64]  # (n, M * M) their covariance; a sensor of m numbers uses the first m * m
+
+    @property
+    def size(self) -> int:
+        """How many samples."""
+        return len(self.t_ns)
+
+    def take(self, index: NDArray[np.int64] | slice) -> "Events":
+        """These samples, in this order."""
+        return Events(*(column[index] for column in self))
+
+
+def no_events(rows: int) -> Events:
+    """``rows`` is M, the most numbers that one sample of any sensor measures."""
+    integers = [np.empty(0, np.int64) for _ in range(3)]
+    return Events(
+        *integers, np.empty(0, np.uint8), np.empty((0, rows + SAMPLE_WIDTH)), np.empty((0, rows * rows))
+    )
+
+
+def join(parts: Sequence[Events]) -> Events:
+    """The samples of all parts, one part after the other."""
+    return Events(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

@@ -1,0 +1,147 @@
+"""Generated kernels and model cards, kept in the user's cache folder so that SymPy and the compiler run once."""
+
+import hashlib
+import importlib.metadata
+import importlib.util
+import json
+import os
+import platform
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from fuselog.schemas.errors import FuselogError
+
+_HERE = Path(__file__).parent
+_COMPILED = ("step.py", "advance.py")  # the text that is compiled together with a generated model
+_SOURCES = (*_COMPILED, "model.py", "quantities.py", "codegen.py", "rows.py", "scalars.py", "tables.py")
+_OWN_IMPORTS = ("from fuselog.fusion.blank import", "from fuselog.fusion.step import")
+_HEAD = '''"""Made by fuselog from the model {name}; delete freely."""
+
+import math
+from math import atan2, cos, sin, sqrt, tan
+
+import numpy as np
+
+from fuselog.fusion.scalars import dsinc, sinc, wrap
+from fuselog.schemas.compiled import inline
+
+'''
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelCard:
+    """What a configuration needs to know of a model, without its equations."""
+
+    name: str
+    states: dict[str, str]  # name: unit
+    inputs: dict[str, str]  # name: unit
+    noise: dict[str, float]  # density: default
+    quantities: list[str]  # what sensors may measure besides states
+    has_pose: bool
+
+
+def cache_folder() -> Path:
+    """Where compiled kernels are kept: ``FUSELOG_CACHE_DIR``, or the user's cache folder."""
+    named = os.environ.get("FUSELOG_CACHE_DIR")
+    base = Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fuselog"
+    return base / "kernels"
+
+
+def model_card(name: str) -> ModelCard:
+    """The card of a model by name; derives it from the symbolic model when the cache does not have it."""
+    path = cache_folder() / _key(name) / "card.json"
+    if path.is_file():
+        return ModelCard(**json.loads(path.read_text()))
+    from fuselog.fusion.quantities import quantities  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
+
+    model = _declare(name)
+    planar_pose = all(state in model.states for state in ("x", "y", "yaw"))
+    card = ModelCard(
+        name=name,
+        states=dict(model.states),
+        inputs=dict(model.inputs),
+        noise=dict(model.noise),
+        quantities=list(quantities(model.body)),
+        has_pose=planar_pose,
+    )
+    _store(path, json.dumps(asdict(card)))
+    return card
+
+
+def kernel_module(name: str, measured: Sequence[str]) -> ModuleType:
+    """The module with ``advance`` for a model and the quantities that its sensors measure, in this order."""
+    path = cache_folder() / _key(name, *measured) / f"{name}.py"
+    if not path.is_file():
+        from fuselog.fusion.codegen import generate  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
+        from fuselog.fusion.quantities import quantities  # noqa: PLC0415  the same
+
+        model = _declare(name)
+        available = quantities(model.body)
+        generated = generate(model, {quantity: available[quantity] for quantity in measured})
+        _store(path, _HEAD.format(name=name) + _decorate(generated) + _filter_text())
+    return _load(path)
+
+
+def _decorate(generated: str) -> str:
+    return generated.replace("\ndef ", "\n@inline\ndef ")
+
+
+def _filter_text() -> str:
+    """``step`` and ``advance`` as one text that takes the model's names from the module it stands in."""
+    lines: list[str] = []
+    for name in _COMPILED:
+        lines += (_HERE / name).read_text().splitlines()
+    return "\n".join(line for line in lines if not line.startswith(_OWN_IMPORTS)) + "\n"
+
+
+def _key(*parts: str) -> str:
+    digest = hashlib.sha256()
+    texts = [(_HERE / source).read_text() for source in _SOURCES]
+    texts += [path.read_text() for path in sorted((_HERE / "models").glob("*.py"))]
+    versions = [importlib.metadata.version(package) for package in ("numba", "llvmlite", "numpy")]
+    for text in (*texts, *versions, platform.python_version(), *parts):
+        digest.update(text.encode() + b"\0")
+    return f"{parts[0]}-{digest.hexdigest()[:20]}"
+
+
+def _declare(name: str) -> Any:
+    from fuselog.fusion import models  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
+
+    declare: Callable[[], Any] = getattr(models, name)
+    return declare()
+
+
+def _store(path: Path, text: str) -> None:
+    """Write whole or not at all, so that processes that start together do not read each other's half."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
+            file.write(text)
+        Path(file.name).replace(path)
+    except OSError as error:
+        raise CacheError(path.parent, error) from error
+
+
+def _load(path: Path) -> ModuleType:
+    name = f"fuselog_kernel_{path.parent.name.replace('-', '_')}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+class CacheError(FuselogError):
+    """The folder for compiled kernels cannot be written."""
+
+    def __init__(self, folder: Path, error: OSError) -> None:
+        super().__init__(f"{folder}: cannot keep compiled kernels here ({error.strerror}); set FUSELOG_CACHE_DIR")

@@ -1,0 +1,92 @@
+"""What a motion model is: states with units, a transition, its noise, and where the body is, all symbolic."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import sympy as sp
+
+Expr = sp.Expr
+DT = sp.Symbol("dt", positive=True)  # s, time since the state was last known
+
+
+class sinc(sp.Function):  # noqa: N801  a mathematical function keeps its name
+    """sin(x)/x, finite at 0; its derivative stays accurate there too."""
+
+    def fdiff(self, argindex: int = 1) -> Expr:
+        return dsinc(self.args[0])
+
+
+class dsinc(sp.Function):  # noqa: N801  a mathematical function keeps its name
+    """d/dx sin(x)/x."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """Where the body is and how it moves, as expressions of the state: what derived measurements are made of.
+
+    ``position`` and ``velocity`` in the world frame (m, m/s), ``rpy`` the attitude of the body in the world (rad),
+    ``twist_linear`` and ``twist_angular`` in the body frame (m/s, rad/s), ``acceleration`` in the body frame (m/s²).
+    A planar model gives 0 for what it does not have.
+    """
+
+    position: tuple[Expr, Expr, Expr]
+    velocity: tuple[Expr, Expr, Expr]
+    rpy: tuple[Expr, Expr, Expr]
+    twist_linear: tuple[Expr, Expr, Expr]
+    twist_angular: tuple[Expr, Expr, Expr]
+    acceleration: tuple[Expr, Expr, Expr] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """A discrete motion model x(t + dt) = f(x, u, dt) + w, declared once.
+
+    ``states`` and ``inputs`` map names to units; a state in ``rad`` is an angle and is wrapped to (-pi, pi].
+    ``transition`` gives f for every state. ``noise`` maps the names of the process noise densities to their default
+    values; ``covariance`` gives the entries of Q(dt), by pairs of states, in those densities and ``DT``, so that what
+    is added in one second does not depend on the rate. Input noise enters as B U B'/dt with B = df/du.
+    """
+
+    name: str
+    states: Mapping[str, str]
+    transition: Mapping[str, Expr]
+    noise: Mapping[str, float]
+    covariance: Mapping[tuple[str, str], Expr]
+    body: Body
+    inputs: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """State names, in the order of the state vector."""
+        return tuple(self.states)
+
+    @property
+    def angles(self) -> tuple[bool, ...]:
+        """Which states are angles."""
+        return tuple(unit == "rad" for unit in self.states.values())
+
+
+def symbol(name: str) -> sp.Symbol:
+    """The symbol of a state, an input or a noise density."""
+    return sp.Symbol(name, real=True)
+
+
+def symbols(names: str) -> list[sp.Symbol]:
+    """Symbols of several states or inputs, in order."""
+    return [symbol(name) for name in names.split()]
+
+
+def density(name: str) -> sp.Symbol:
+    """The symbol of the process noise density called ``name``."""
+    return sp.Symbol(f"q_{name}", nonnegative=True)
+
+
+def white_noise(*names: str) -> dict[tuple[str, str], Expr]:
+    """Q entries of independent white noise on the named states: q dt on the diagonal."""
+    return {(name, name): density(name) * DT for name in names}
+
+
+def white_acceleration(name: str, position: str, rate: str) -> dict[tuple[str, str], Expr]:
+    """Q entries of white acceleration noise of density ``name`` (m²/s³) on a position and its rate (Van Loan)."""
+    q = density(name)
+    return {(position, position): q * DT**3 / 3, (position, rate): q * DT**2 / 2, (rate, rate): q * DT}

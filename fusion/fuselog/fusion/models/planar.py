@@ -1,0 +1,50 @@
+"""Robots that roll in the plane: the exact arc over dt, finite when they go straight."""
+
+import sympy as sp
+
+from fuselog.fusion.model import DT, Body, Expr, Model, sinc, symbols, white_noise
+
+
+def _arc(x: Expr, y: Expr, yaw: Expr, v: Expr, yaw_rate: Expr) -> dict[str, Expr]:
+    """Pose after dt at constant speed and turn rate: the chord of the arc, length v dt sinc(turn/2)."""
+    half_turn = yaw_rate * DT / 2
+    chord = v * DT * sinc(half_turn)
+    return {"x": x + chord * sp.cos(yaw + half_turn), "y": y + chord * sp.sin(yaw + half_turn), "yaw": yaw + yaw_rate * DT}
+
+
+def _body(x: Expr, y: Expr, yaw: Expr, v: Expr, yaw_rate: Expr) -> Body:
+    zero = sp.Integer(0)
+    return Body(
+        position=(x, y, zero),
+        velocity=(v * sp.cos(yaw), v * sp.sin(yaw), zero),
+        rpy=(zero, zero, yaw),
+        twist_linear=(v, zero, zero),
+        twist_angular=(zero, zero, yaw_rate),
+    )
+
+
+def unicycle() -> Model:
+    """Constant turn rate and velocity: speed and turn rate are states, known through measurements."""
+    x, y, yaw, v, yaw_rate = symbols("x y yaw v yaw_rate")
+    return Model(
+        name="unicycle",
+        states={"x": "m", "y": "m", "yaw": "rad", "v": "m/s", "yaw_rate": "rad/s"},
+        transition=_arc(x, y, yaw, v, yaw_rate) | {"v": v, "yaw_rate": yaw_rate},
+        noise={"x": 1e-4, "y": 1e-4, "yaw": 1e-4, "v": 1.0, "yaw_rate": 0.1},
+        covariance=white_noise("x", "y", "yaw", "v", "yaw_rate"),
+        body=_body(x, y, yaw, v, yaw_rate),
+    )
+
+
+def differential_drive() -> Model:
+    """A pose driven by a measured (or commanded) speed and turn rate, which bring their own noise."""
+    x, y, yaw, v, yaw_rate = symbols("x y yaw v yaw_rate")
+    return Model(
+        name="differential_drive",
+        states={"x": "m", "y": "m", "yaw": "rad"},
+        inputs={"v": "m/s", "yaw_rate": "rad/s"},
+        transition=_arc(x, y, yaw, v, yaw_rate),
+        noise={"x": 1e-6, "y": 1e-6, "yaw": 1e-6},
+        covariance=white_noise("x", "y", "yaw"),
+        body=_body(x, y, yaw, v, yaw_rate),
+    )

@@ -1,0 +1,159 @@
+"""Rows of a matrix in flat memory, each operation one sequence of vector instructions of a fixed width.
+
+LLVM turns loops of a short constant length into scalar code; a row as one vector is several times faster. Multiply
+and add stay two roundings, so that every instruction set gives the same bytes. Kernels work on bare pointers, because
+counting references to arrays would cost more than the arithmetic.
+"""
+# Numba passes compiler objects to an intrinsic that have no types to check.
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
+# pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportUnknownLambdaType=false
+
+from typing import Any
+
+from llvmlite import ir  # pyright: ignore[reportMissingTypeStubs]  llvmlite ships no stubs
+from numba import types  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
+from numba.core import cgutils  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
+from numba.extending import intrinsic  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
+
+_BYTES = 8  # of a float64
+_BLOCK = 4  # rows and columns that are transposed at a time
+
+
+@intrinsic
+def pointers(typing, arrays):  # noqa: ANN001, ANN201, ARG001  numba reads this signature
+    """The same named tuple with the data pointer of each array in the array's place; numbers stay."""
+    fields = [types.CPointer(t.dtype) if isinstance(t, types.Array) else t for t in arrays.types]
+    result = types.NamedTuple(fields, arrays.instance_class)
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        values: list[Any] = []
+        for number, field in enumerate(signature.args[0].types):
+            value = builder.extract_value(arguments[0], number)
+            if isinstance(field, types.Array):
+                value = context.make_array(field)(context, builder, value).data
+            values.append(value)
+        return context.make_tuple(builder, signature.return_type, values)
+
+    return result(arrays), emit
+
+
+def _row(builder: Any, pointer: Any, offset: Any, width: int) -> Any:
+    """Pointer to ``width`` numbers from ``offset``, as one vector."""
+    place = builder.gep(pointer, [offset])
+    return builder.bitcast(place, ir.VectorType(ir.DoubleType(), width).as_pointer())
+
+
+def _spread(builder: Any, value: Any, width: int) -> Any:
+    """A vector that holds ``value`` everywhere."""
+    vector = ir.VectorType(ir.DoubleType(), width)
+    one = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), width), [0] * width)
+    return builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), mask)
+
+
+def _load(builder: Any, place: Any) -> Any:
+    return builder.load(place, align=_BYTES)
+
+
+def _fixed(width: Any) -> bool:
+    return isinstance(width, types.IntegerLiteral)
+
+
+@intrinsic(prefer_literal=True)
+def row_copy(typing, to, at, source, start, width):  # noqa: ANN001, ANN201, ARG001  numba reads this signature
+    """to[at : at + width] = source[start : start + width]."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        source = _row(builder, arguments[2], arguments[3], width.literal_value)
+        target = _row(builder, arguments[0], arguments[1], width.literal_value)
+        builder.store(_load(builder, source), target, align=_BYTES)
+        return context.get_dummy_value()
+
+    return (types.void(to, types.intp, source, types.intp, width), emit) if _fixed(width) else None
+
+
+@intrinsic(prefer_literal=True)
+def row_scale(typing, to, at, source, start, factor, width):  # noqa: ANN001, ANN201, ARG001  numba reads this signature
+    """to[at : at + width] = factor * source[start : start + width]."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        lanes = width.literal_value
+        row = _load(builder, _row(builder, arguments[2], arguments[3], lanes))
+        scaled = builder.fmul(_spread(builder, arguments[4], lanes), row)
+        builder.store(scaled, _row(builder, arguments[0], arguments[1], lanes), align=_BYTES)
+        return context.get_dummy_value()
+
+    signature = types.void(to, types.intp, source, types.intp, types.float64, width)
+    return (signature, emit) if _fixed(width) else None
+
+
+@intrinsic(prefer_literal=True)
+def row_add(typing, to, at, source, start, factor, width):  # noqa: ANN001, ANN201, ARG001  numba reads this signature
+    """to[at : at + width] += factor * source[start : start + width]."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        lanes = width.literal_value
+        row = _load(builder, _row(builder, arguments[2], arguments[3], lanes))
+        target = _row(builder, arguments[0], arguments[1], lanes)
+        scaled = builder.fmul(_spread(builder, arguments[4], lanes), row)
+        builder.store(builder.fadd(_load(builder, target), scaled), target, align=_BYTES)
+        return context.get_dummy_value()
+
+    signature = types.void(to, types.intp, source, types.intp, types.float64, width)
+    return (signature, emit) if _fixed(width) else None
+
+
+@intrinsic(prefer_literal=True)
+def row_take(typing, to, at, source, start, factors, first, stride, count, width):  # noqa: ANN001, ANN201, ARG001  numba reads this signature
+    """to[at : at + width] -= sum over c < count of factors[first + c * stride] * row c from ``start`` of source."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        to, at, source, start, factors, first, stride, count, _ = arguments
+        lanes = width.literal_value
+        target = _row(builder, to, at, lanes)
+        total = cgutils.alloca_once_value(builder, _load(builder, target))
+        with cgutils.for_range(builder, count) as loop:
+            row = _load(builder, _row(builder, source, builder.add(start, builder.mul(loop.index, at.type(lanes))), lanes))
+            factor = _load(builder, builder.gep(factors, [builder.add(first, builder.mul(loop.index, stride))]))
+            scaled = builder.fmul(_spread(builder, factor, lanes), row)
+            builder.store(builder.fsub(builder.load(total), scaled), total)
+        builder.store(builder.load(total), target, align=_BYTES)
+        return context.get_dummy_value()
+
+    places = [types.intp] * 4
+    signature = types.void(to, types.intp, source, types.intp, factors, *places[1:], width)
+    return (signature, emit) if _fixed(width) else None
+
+
+@intrinsic(prefer_literal=True)
+def transpose(typing, to, at, source, start, width):  # noqa: ANN001, ANN201, ARG001  numba reads this signature
+    """The width x width matrix at ``at`` becomes the transpose of the one at ``start``, by 4 x 4 blocks."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        lanes = width.literal_value
+        for i in range(0, lanes, _BLOCK):
+            for j in range(0, lanes, _BLOCK):
+                place = [builder.add(arguments[3], arguments[3].type((i + r) * lanes + j)) for r in range(_BLOCK)]
+                block = [_load(builder, _row(builder, arguments[2], p, _BLOCK)) for p in place]
+                for r, row in enumerate(_turn(builder, block)):
+                    place_to = builder.add(arguments[1], arguments[1].type((j + r) * lanes + i))
+                    builder.store(row, _row(builder, arguments[0], place_to, _BLOCK), align=_BYTES)
+        return context.get_dummy_value()
+
+    return (types.void(to, types.intp, source, types.intp, width), emit) if _fixed(width) else None
+
+
+def _turn(builder: Any, rows: list[Any]) -> list[Any]:
+    """The columns of four vectors of four."""
+    mask = ir.VectorType(ir.IntType(32), _BLOCK)
+
+    def pick(a: Any, b: Any, lanes: list[int]) -> Any:
+        return builder.shuffle_vector(a, b, ir.Constant(mask, lanes))
+
+    low = [pick(rows[0], rows[1], [0, 4, 2, 6]), pick(rows[2], rows[3], [0, 4, 2, 6])]
+    high = [pick(rows[0], rows[1], [1, 5, 3, 7]), pick(rows[2], rows[3], [1, 5, 3, 7])]
+    first, second = [0, 1, 4, 5], [2, 3, 6, 7]
+    return [pick(*low, first), pick(*high, first), pick(*low, second), pick(*high, second)]
+
+
+__all__ = ["pointers", "row_add", "row_copy", "row_scale", "row_take", "transpose"]

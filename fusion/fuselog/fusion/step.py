@@ -1,0 +1,322 @@
+"""The filter: one sample applied to one state. Compiled together with the model that takes the place of ``blank``.
+
+predict -> innovate -> weigh -> gate -> gain -> correct, over flat rows. Covariance is always Joseph's form, for any
+gain: P = (I - G H) P (I - G H)' + G R G' (Bezmen 2019 holds eq. 26 only for the optimal gain).
+"""
+
+import math
+
+from fuselog.fusion.blank import ANGLES, LD, WIDTH, N, U, observe, predict
+from fuselog.fusion.rows import row_add, row_copy, row_scale, row_take, transpose
+from fuselog.fusion.scalars import wrap
+from fuselog.fusion.tables import NEVER, Floats, History, Ints, Tables, Work
+from fuselog.schemas.compiled import inline
+
+COVARIANCE = LD  # a row of state: x and P padded with zeros to LD, input and its noise, which states are known
+INPUT = COVARIANCE + LD * LD
+KNOWN = INPUT + 2 * U
+ROW = KNOWN + N
+PACKED = N * (N + 1) // 2
+
+MOST = 9  # numbers that one sample measures at most
+HP = 2 * LD * LD  # places in Work.rows, after the two products of ``predict``
+G = HP + MOST * LD
+JOSEPH = G + MOST * LD
+SCRATCH = JOSEPH + MOST * LD
+
+# literals that kernels compare with: Decision, Role and Gain by number
+FUSED, GATED, BAD_COVARIANCE, UNINITIALISED = 0, 1, 8, 9
+DRIVES_NEXT, DRIVES_PREVIOUS = 1, 2
+ABSORB, STATE = 1, 2
+
+
+@inline
+def symmetrise(s: Floats, P: int, w: Floats) -> None:
+    """P = (P + P') / 2."""
+    transpose(w, 0, s, P, LD)
+    for i in range(N):
+        row_scale(s, P + i * LD, s, P + i * LD, 0.5, LD)
+        row_add(s, P + i * LD, w, i * LD, 0.5, LD)
+
+
+@inline
+def step(tables: Tables, history: History, work: Work, k: int) -> None:
+    """Make entry k of the history: the state of entry k - 1 at its time, corrected by its sample."""
+    sensor = history.sensor[k]
+    role = tables.role[sensor]
+    M = tables.M
+    history.nis[k], history.dof[k] = 0.0, 0
+    for i in range(M):
+        history.nu[k * M + i] = math.nan
+        history.S[k * M + i] = math.nan
+        history.absorbed[k * M + i] = math.nan
+    carry(tables, history, work, k, role)
+    if role in (DRIVES_NEXT, DRIVES_PREVIOUS):
+        take_input(history, k, M)
+        history.decision[k] = FUSED
+    else:
+        history.decision[k] = correct(tables, history, work, k, sensor)
+    symmetrise(history.state, k * ROW + COVARIANCE, work.rows)
+
+
+@inline
+def carry(tables: Tables, history: History, work: Work, k: int, role: int) -> None:
+    """Predict the state of entry k - 1 to the time of entry k (Bezmen 2019, eq. 23 and 24)."""
+    s, a, b = history.state, (k - 1) * ROW, k * ROW
+    for i in range(INPUT, ROW):
+        s[b + i] = s[a + i]
+    if role == DRIVES_PREVIOUS:
+        take_input(history, k, tables.M)
+    before = history.t[k - 1]
+    if before == NEVER or before == history.t[k]:
+        for i in range(LD + 1):
+            row_copy(s, b + i * LD, s, a + i * LD, LD)
+    else:
+        predict(s, a, b, (history.t[k] - before) * 1e-9, tables.q, work.rows)
+
+
+@inline
+def take_input(history: History, k: int, M: int) -> None:
+    """The sample of entry k becomes the input, with the density of its noise."""
+    b = k * ROW + INPUT
+    for i in range(U):
+        history.state[b + i] = history.z[k * (M + 3) + i]
+        history.state[b + U + i] = history.R[k * M * M + i * U + i]
+
+
+@inline
+def correct(tables: Tables, history: History, work: Work, k: int, sensor: int) -> int:
+    """Correct the state of entry k by its sample; returns what became of the sample."""
+    if not ready(tables, history, work, k, sensor):
+        return UNINITIALISED
+    m = seed(tables, history, work, k, sensor)
+    if m == 0:
+        return FUSED
+    innovate(tables, history, work, k, sensor, m)
+    weigh(tables, history, work, k, sensor, m)
+    if not cholesky(work.S, work.L, m):
+        return BAD_COVARIANCE
+    nis = mahalanobis(work, m)
+    history.nis[k], history.dof[k] = nis, m
+    if not nis <= tables.threshold[sensor]:
+        return GATED
+    if not gain(tables, history, work, k, sensor, m):
+        return BAD_COVARIANCE
+    update(tables, history, work, k, sensor, m)
+    return FUSED
+
+
+@inline
+def measure(tables: Tables, history: History, work: Work, k: int, sensor: int, i: int, at: int) -> float:
+    """h of the sensor's number i; its derivatives go to place ``at`` of the work."""
+    what = tables.what[sensor * tables.M + i]
+    M = tables.M
+    if what < 0:
+        sample = k * (M + 3) + M
+        h, work.hn[at] = observe(
+            -1 - what, history.state, k * ROW, tables.sensor, sensor * 7, history.z, sample, work.hv, work.hi, at * WIDTH
+        )
+        return h
+    work.hi[at * WIDTH] = what
+    work.hv[at * WIDTH] = 1.0
+    work.hn[at] = 1
+    return history.state[k * ROW + what]
+
+
+@inline
+def ready(tables: Tables, history: History, work: Work, k: int, sensor: int) -> bool:
+    """Whether the sample can be used: what it depends on is known, or it gives a state at once."""
+    known = k * ROW + KNOWN
+    for i in range(tables.rows[sensor]):
+        if tables.seed[sensor * tables.M + i] < 0:
+            measure(tables, history, work, k, sensor, i, 0)
+            for j in range(work.hn[0]):
+                if history.state[known + work.hi[j]] == 0.0:
+                    return False
+    return True
+
+
+@inline
+def seed(tables: Tables, history: History, work: Work, k: int, sensor: int) -> int:
+    """A state that is not known yet takes the first value that a sensor gives, and its variance.
+
+    The other numbers of the sample are the active ones, which go on to correct the state; returns how many.
+    """
+    s, b, M, m = history.state, k * ROW, tables.M, 0
+    rows = tables.rows[sensor]
+    for i in range(rows):
+        state = tables.seed[sensor * tables.M + i]
+        if state < 0 or s[b + KNOWN + state] != 0.0:
+            work.active[m] = i
+            m += 1
+            continue
+        s[b + state] += history.z[k * (M + 3) + i] - measure(tables, history, work, k, sensor, i, 0)
+        P = b + COVARIANCE
+        for j in range(N):
+            s[P + state * LD + j] = 0.0
+            s[P + j * LD + state] = 0.0
+        s[P + state * LD + state] = history.R[k * M * M + i * rows + i]
+        s[b + KNOWN + state] = 1.0
+    return m
+
+
+@inline
+def innovate(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
+    """nu = z - h(x), angles wrapped (Bezmen 2019, eq. 15)."""
+    M = tables.M
+    for a in range(m):
+        i = work.active[a]
+        nu = history.z[k * (M + 3) + i] - measure(tables, history, work, k, sensor, i, a)
+        work.nu[a] = wrap(nu) if tables.angle[sensor * tables.M + i] else nu
+        history.nu[k * M + i] = work.nu[a]
+
+
+@inline
+def weigh(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
+    """S = H P H' + R (its lower triangle), and the rows of H P (Bezmen 2019, eq. 28)."""
+    M, rows = tables.M, tables.rows[sensor]
+    project(work, history.state, k * ROW + COVARIANCE, m)
+    for a in range(m):
+        for c in range(a + 1):
+            R = history.R[k * M * M + work.active[a] * rows + work.active[c]]
+            work.S[a * m + c] = spread(work, HP, a, c) + R
+        history.S[k * M + work.active[a]] = work.S[a * m + a]
+
+
+@inline
+def project(work: Work, P_of: Floats, P: int, m: int) -> None:
+    """The rows of H P for the active numbers; P lies at ``P`` of ``P_of``."""
+    for a in range(m):
+        to = HP + a * LD
+        row_scale(work.rows, to, P_of, P + work.hi[a * WIDTH] * LD, work.hv[a * WIDTH], LD)
+        for j in range(1, work.hn[a]):
+            row_add(work.rows, to, P_of, P + work.hi[a * WIDTH + j] * LD, work.hv[a * WIDTH + j], LD)
+
+
+@inline
+def spread(work: Work, rows: int, a: int, c: int) -> float:
+    """Row a of ``rows`` times h of number c: an entry of H P H'."""
+    total = 0.0
+    for j in range(work.hn[c]):
+        total += work.hv[c * WIDTH + j] * work.rows[rows + a * LD + work.hi[c * WIDTH + j]]
+    return total
+
+
+@inline
+def cholesky(S: Floats, L: Floats, m: int) -> bool:
+    """L L' = S, the diagonal of L inverted; false where S is not positive definite, or not finite."""
+    for a in range(m):
+        for c in range(a):
+            total = S[a * m + c]
+            for j in range(c):
+                total -= L[a * m + j] * L[c * m + j]
+            L[a * m + c] = total * L[c * m + c]
+        total = S[a * m + a]
+        for j in range(a):
+            total -= L[a * m + j] * L[a * m + j]
+        if not 0.0 < total < math.inf:
+            return False
+        L[a * m + a] = 1.0 / math.sqrt(total)
+    return True
+
+
+@inline
+def mahalanobis(work: Work, m: int) -> float:
+    """NIS = nu' S^-1 nu, by y = L^-1 nu."""
+    total = 0.0
+    for a in range(m):
+        y = work.nu[a]
+        for c in range(a):
+            y -= work.L[a * m + c] * work.y[c]
+        work.y[a] = y * work.L[a * m + a]
+        total += work.y[a] * work.y[a]
+    return total
+
+
+@inline
+def gain(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
+    """The rows of G', by the sensor's policy; false where a fixed share cannot be formed."""
+    policy, M = tables.gain[sensor], tables.M
+    if policy == STATE:
+        for a in range(m):
+            weigh_states(tables, work, sensor, a)
+    else:
+        if policy == ABSORB and not share(tables, work, m):
+            return False
+        solve(work, m)
+        for a in range(m if policy == ABSORB else 0):
+            weight = tables.weight[sensor * tables.M + work.active[a]]
+            row_scale(work.rows, G + a * LD, work.rows, G + a * LD, weight, LD)
+    for a in range(m):
+        history.absorbed[k * M + work.active[a]] = spread(work, G, a, a)
+    return True
+
+
+@inline
+def share(tables: Tables, work: Work, m: int) -> bool:
+    """Take R out of S: with weight 1 the update then absorbs the innovation whole, G = P H' (H P H')^-1 W.
+
+    With fixed scales in place of P the gain does not follow the covariance, only the geometry.
+    """
+    if tables.scaled:
+        for a in range(m):
+            for i in range(LD):
+                work.rows[HP + a * LD + i] = 0.0
+            for j in range(work.hn[a]):
+                state = work.hi[a * WIDTH + j]
+                work.rows[HP + a * LD + state] = work.hv[a * WIDTH + j] * tables.scales[state] ** 2
+    for a in range(m):
+        for c in range(a + 1):
+            work.S[a * m + c] = spread(work, HP, a, c)
+    return cholesky(work.S, work.L, m)
+
+
+@inline
+def weigh_states(tables: Tables, work: Work, sensor: int, a: int) -> None:
+    """Bezmen's table (2019, eq. 29): state f takes weight g of number q, in the state's unit by 1 / (dh_q/dx_f)."""
+    for i in range(LD):
+        work.rows[G + a * LD + i] = 0.0
+    for j in range(work.hn[a]):
+        state = work.hi[a * WIDTH + j]
+        weight = tables.table[(sensor * tables.M + work.active[a]) * N + state]
+        if weight != 0.0:
+            work.rows[G + a * LD + state] = weight / work.hv[a * WIDTH + j]
+
+
+@inline
+def solve(work: Work, m: int) -> None:
+    """G' = S^-1 H P by the factor L of S (Bezmen 2019, eq. 27)."""
+    w, L = work.rows, work.L
+    for a in range(m):
+        row_copy(w, G + a * LD, w, HP + a * LD, LD)
+        row_take(w, G + a * LD, w, G, L, a * m, 1, a, LD)
+        row_scale(w, G + a * LD, w, G + a * LD, L[a * m + a], LD)
+    for a in range(m - 1, -1, -1):
+        row_take(w, G + a * LD, w, G + (a + 1) * LD, L, (a + 1) * m + a, m, m - 1 - a, LD)
+        row_scale(w, G + a * LD, w, G + a * LD, L[a * m + a], LD)
+
+
+@inline
+def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
+    """x = x + G nu and Joseph's P, in two passes: T = ((I - G H) P)', P = T' - (T' H' - G R) G'."""
+    s, w, b, M = history.state, work.rows, k * ROW, tables.M
+    rows, P = tables.rows[sensor], b + COVARIANCE
+    if tables.scaled:
+        project(work, s, P, m)
+    for a in range(m):
+        row_add(s, b, w, G + a * LD, work.nu[a], LD)
+    for i in range(N):
+        if ANGLES[i]:
+            s[b + i] = wrap(s[b + i])
+        row_take(s, P + i * LD, w, G, w, HP + i, LD, m, LD)
+    for a in range(m):
+        to = JOSEPH + a * LD
+        row_scale(w, to, s, P + work.hi[a * WIDTH] * LD, work.hv[a * WIDTH], LD)
+        for j in range(1, work.hn[a]):
+            row_add(w, to, s, P + work.hi[a * WIDTH + j] * LD, work.hv[a * WIDTH + j], LD)
+        for c in range(m):
+            R = history.R[k * M * M + work.active[a] * rows + work.active[c]]
+            if R != 0.0:
+                row_add(w, to, w, G + c * LD, -R, LD)
+    for i in range(N):
+        row_take(s, P + i * LD, w, JOSEPH, w, G + i, LD, m, LD)

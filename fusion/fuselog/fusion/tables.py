@@ -1,0 +1,118 @@
+"""A configuration and a filter's memory as plain arrays: all that a kernel sees of either."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+NEVER = np.iinfo(np.int64).min  # the time of a filter that has seen nothing
+
+DECISIONS = 10  # kinds of ``Decision``
+SAMPLE_WIDTH = 3  # numbers that come with a sample besides what was measured: the position of a beacon
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+
+class Role(IntEnum):
+    """What a sensor's sample does to the filter."""
+
+    MEASURES = 0  # corrects the state
+    DRIVES_NEXT = 1  # is the input from its stamp on
+    DRIVES_PREVIOUS = 2  # was the input up to its stamp
+
+
+class Gain(IntEnum):
+    """How a sensor's gain is made (reference: Bezmen 2019, eq. 27 and 29)."""
+
+    OPTIMAL = 0  # P H' S^-1
+    ABSORB = 1  # a fixed share of each innovation
+    STATE = 2  # fixed weights of measured numbers in states
+
+
+class Tables(NamedTuple):
+    """A configuration in numbers, for S sensors of at most M measured numbers each, N states, K noise densities.
+
+    All arrays are flat, row by row; the shapes are those that a row has.
+    """
+
+    M: int
+    role: Ints  # (S,) of Role
+    rows: Ints  # (S,) numbers that a sample measures
+    what: Ints  # (S, M) a state's index, or -1 - q for generated quantity q
+    seed: Ints  # (S, M) the state that this number gives at once while that state is unknown, or -1
+    angle: Bytes  # (S, M) whether the number is an angle
+    threshold: Floats  # (S,) gate: most that the NIS may be; inf for no gate
+    sensor: Floats  # (S, 7) lever arm x y z (m, body), gravity (m/s²), station x y z (m, world)
+    gain: Ints  # (S,) of Gain
+    weight: Floats  # (S, M) share of the innovation absorbed
+    table: Floats  # (S, M, N) weight of number q in state f
+    scaled: int  # whether the fixed gain is formed with ``scales`` in place of P
+    scales: Floats  # (N,) standard deviations
+    q: Floats  # (K,) process noise densities
+    window_ns: int  # how late a sample may be
+
+
+class History(NamedTuple):
+    """The last entries of a filter in time order: the samples and the state after each; flat arrays.
+
+    Entry ``head`` is the base that a rewind starts from. A row of ``state`` is x, P, the input, which states are known.
+    """
+
+    capacity: int  # C
+    cursor: Ints  # (3,) head, tail, newest stamp admitted
+    counts: Ints  # (S, DECISIONS) the ledger
+    t: Ints  # (C,)
+    sensor: Ints  # (C,)
+    seq: Ints  # (C,)
+    decision: Bytes  # (C,)
+    z: Floats  # (C, M + SAMPLE_WIDTH)
+    R: Floats  # (C, M * M)
+    state: Floats  # (C, ROW)
+    nis: Floats  # (C,)
+    dof: Ints  # (C,)
+    nu: Floats  # (C, M)
+    S: Floats  # (C, M) variances of the innovations
+    absorbed: Floats  # (C, M) diagonal of H G
+
+
+class Samples(NamedTuple):
+    """``Events`` as a kernel takes them; flat arrays."""
+
+    count: int
+    t_ns: Ints  # (n,)
+    sensor: Ints  # (n,)
+    seq: Ints  # (n,)
+    fault: Bytes  # (n,)
+    z: Floats  # (n, M + SAMPLE_WIDTH)
+    R: Floats  # (n, M * M)
+
+
+class Work(NamedTuple):
+    """Scratch of one step; holds nothing between steps."""
+
+    rows: Floats  # two products of N rows, then MOST rows each of H P, G', W'
+    S: Floats  # (M, M)
+    L: Floats  # (M, M)
+    y: Floats  # (M,)
+    nu: Floats  # (M,)
+    hv: Floats  # (M, WIDTH) non-zero derivatives of each measured number
+    hi: Ints  # (M, WIDTH) the states that they belong to
+    hn: Ints  # (M,) how many
+    active: Ints  # (M,) the numbers that take part in this update
+
+
+class Rows(NamedTuple):
+    """What a kernel writes for each event; flat arrays that become a ``Track``, x and P with LD to spare."""
+
+    t_ns: Ints  # (n,)
+    decision: Bytes  # (n,)
+    nis: Floats  # (n,)
+    dof: Ints  # (n,)
+    x: Floats  # (n, N)
+    P: Floats  # (n, N (N + 1) / 2)
+    nu: Floats  # (n, M)
+    S: Floats  # (n, M)
+    absorbed: Floats  # (n, M)
