@@ -3,7 +3,7 @@
 import mmap
 import os
 import stat
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from os import PathLike
 from types import TracebackType
 from typing import NamedTuple, Self
@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.replay.channels import Channel, parse
+from fuselog.replay.columns import decode_topic
 from fuselog.replay.contents import MAGIC, survey
 from fuselog.replay.decompress import Limits
 from fuselog.replay.loss import Loss, Losses
 from fuselog.replay.merge import in_time_order
 from fuselog.replay.reading import ChunkOpener, Reading
 from fuselog.schemas.errors import LogError
-from fuselog.schemas.messages import Messages
+from fuselog.schemas.messages import Columns, Messages
 
 
 class RawMessage(NamedTuple):
@@ -132,6 +133,17 @@ class Log:
                 strict=True,
             ):
                 yield RawMessage(log, publish, channel, sequence, bytes(data[start : start + length]))
+
+    def read(self, topic: str, fields: Sequence[str], *, stamp: str | None = None) -> Columns:
+        """The whole topic as columns, in log-time order: ``read("/imu", ["angular_velocity.z"])``.
+
+        ``stamp`` names the field of `Columns.t_ns`; by default the one that looks like it, and the log time
+        where a type has none. Raises LogError without such a topic, SchemaError without such a field.
+        """
+        channels = self.topics.get(topic)
+        if channels is None:
+            raise LogError(self.path, 0, f"no topic {topic!r}; it has {', '.join(self.topics) or 'none'}")
+        return decode_topic(self.batches([topic]), channels, fields, stamp)
 
 
 def open_log(path: str | PathLike[str], *, limits: Limits | None = None, check_crc: bool = True) -> Log:
