@@ -136,7 +136,9 @@ def _not_numeric(path: Path, leaf: Path, node: Node) -> str:
 
 def _unknown(root: Node, path: Path, depth: int, node: Node) -> str:
     wanted = join_path(path)
-    matches = get_close_matches(wanted, list_paths(root), n=3, cutoff=0.7)
+    leaves = [leaf for leaf, _ in islice(_listed((), root), _MOST_LISTED)]
+    known = dict.fromkeys(join_path(leaf[:end]) for leaf in leaves for end in range(1, len(leaf) + 1))
+    matches = get_close_matches(wanted, known, n=3, cutoff=0.7)
     hint = f"; did you mean {', '.join(matches)}?" if matches else ""
     where = join_path(path[:depth]) or kind_of(root)
     if isinstance(node, Record):

@@ -96,8 +96,8 @@ def types_used(name: str, text: str) -> list[str]:
 
 def short_name(name: str) -> str:
     """``pkg/Type`` of ``pkg/msg/Type``."""
-    package, *_, kind = name.split("/")
-    return f"{package}/{kind}" if "/" in name else name
+    parts = name.split("/")
+    return f"{parts[0]}/{parts[-1]}" if len(parts) > 1 else name
 
 
 def _fields(schema: str, owner: str, text: str) -> Iterator[re.Match[str]]:
