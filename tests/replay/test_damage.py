@@ -59,6 +59,16 @@ def test_no_file_a_folder_and_a_device_are_one_error(tmp_path: Path) -> None:
             open_log(path)
 
 
+@pytest.mark.parametrize("chunked", [True, False])
+def test_reading_a_closed_log_is_one_error(make_log: Callable, chunked: bool) -> None:
+    with open_log(make_log(CHUNKS, chunked=chunked, compression=CompressionType.NONE)) as log:
+        batch = next(log.batches())
+        left_open = log.batches()
+    assert len(batch)
+    with pytest.raises(LogError, match="the log is closed"):
+        next(left_open)
+
+
 def test_a_file_of_magic_only_is_a_truncated_log(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(MAGIC)

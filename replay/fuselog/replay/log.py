@@ -44,7 +44,7 @@ class Log:
         self.path = path
         self._limits = limits
         self._losses = Losses()
-        self._opener = ChunkOpener(data, limits, self._losses, check_crc=check_crc)
+        self._opener = ChunkOpener(path, data, limits, self._losses, check_crc=check_crc)
         self._contents = survey(data, self._opener.open, self._losses)
         self.profile = self._contents.profile
         if len(self._contents.definitions) > limits.channels:

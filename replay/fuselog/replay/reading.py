@@ -11,6 +11,7 @@ from fuselog.replay.contents import Block
 from fuselog.replay.decompress import Decompressor, Limits
 from fuselog.replay.loss import Losses
 from fuselog.replay.merge import rows
+from fuselog.schemas.errors import LogError
 from fuselog.schemas.messages import Messages
 
 _CHANNELS = 1 << 16  # channel numbers are u16
@@ -19,15 +20,24 @@ _CHANNELS = 1 << 16  # channel numbers are u16
 class ChunkOpener:
     """The file of a log, and its chunks as plain records; a chunk that cannot be opened is a loss."""
 
-    def __init__(self, data: NDArray[np.uint8], limits: Limits, losses: Losses, *, check_crc: bool) -> None:
-        self._data = data
+    def __init__(
+        self, path: str, data: NDArray[np.uint8], limits: Limits, losses: Losses, *, check_crc: bool
+    ) -> None:
+        self._path = path
+        self._mapped: NDArray[np.uint8] | None = data
         self._limits = limits
         self._losses = losses
         self._decompressor = Decompressor(limits, check_crc=check_crc)
 
     def close(self) -> None:
         """Drop the mapped file."""
-        self._data = np.empty(0, np.uint8)
+        self._mapped = None
+
+    @property
+    def _data(self) -> NDArray[np.uint8]:
+        if self._mapped is None:
+            raise LogError(self._path, 0, "the log is closed")
+        return self._mapped
 
     def open(self, chunk: Chunk) -> Block | None:
         """The records of the chunk, or None when it is bad."""
