@@ -140,6 +140,7 @@ def test_negative_stamps_and_no_messages() -> None:
         ([], {"nis": "imu"}, {}, "nis is no string here"),
         ([], {}, {"nis": 3}, "nis is no sequence here"),
         ([], {"sensor": 3}, {}, "sensor holds no number here"),
+        ([], {"decision": -1}, {}, "decision cannot hold -1"),
     ],
 )
 def test_a_wrong_path_says_what_would_be_right(

@@ -91,6 +91,12 @@ def test_a_schema_gives_widths_strings_and_the_stamp() -> None:
     assert columns.fault.tolist() == [Fault.NONE, Fault.SCHEMA]
 
 
+def test_the_parts_of_a_stamp_in_any_order_and_keys_with_a_dash() -> None:
+    columns = decode(codec(["x-y"], "stamp"), {"stamp": {"nanosec": 7, "sec": 2}, "x-y": 1.5})
+    assert columns.t_ns.tolist() == [2_000_000_007]
+    assert columns.values.tolist() == [[1.5]]
+
+
 def test_paths_and_stamp_of_a_schema() -> None:
     given = {
         "encoding": "json",

@@ -47,6 +47,8 @@ class CdrCodec:
         self.paths = tuple(paths)
         self._repeated = [(at, column) for at, column in enumerate(columns) if at != column]
         self._program = assemble(root, want)
+        none = np.empty(0, np.int64)
+        self.decode(np.empty(0, np.uint8), none, none)  # the machine is compiled now, not at the first sample
 
     def decode(self, data: NDArray[np.uint8], start: NDArray[np.int64], length: NDArray[np.int64]) -> Columns:
         """Columns (n, width) of the payloads ``data[start[i] : start[i] + length[i]]``.

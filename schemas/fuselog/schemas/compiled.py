@@ -22,7 +22,8 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 def kernel(function: _Kernel) -> _Kernel:
     """Compile ``function`` to machine code on first call, and keep it on disk for the next process.
 
-    No fastmath and no contraction: the same input gives the same bytes on every instruction set.
+    No fastmath and no contraction: the same input gives the same bytes on every instruction set. What is on
+    disk is renewed when the kernel's own module changes, not when one that it calls into does.
     """
     return cast(_Kernel, numba.njit(cache=True, error_model="numpy")(function))
 

@@ -135,6 +135,8 @@ class _Layout:
 
     def _fill(self, text: str, number: float) -> None:
         for _, slot in self.numbers(text):
+            if not _holds(slot.dtype, np.array(number)):
+                raise SchemaError(self._schema, f"{text} cannot hold {number} ({slot.dtype.name})")
             stored = np.array(number).astype(slot.dtype).tobytes()
             self.template[slot.offset : slot.offset + len(stored)] = stored
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fuselog.schemas.errors import SchemaError
 from fuselog.schemas.messages import Columns, Fault
 from fuselog.schemas.paths import COUNT, Path, expand, find_node, join_path, split_path, stamp_leaves
-from fuselog.schemas.tree import NANOSECONDS, SECONDS, Node, Open, Text
+from fuselog.schemas.tree import Node, Open, Text, time_parts
 
 _MOST_NS: Final = 2**63 - 1
 
@@ -130,11 +130,9 @@ def _string(value: object) -> str:
 
 def _nanoseconds(value: object) -> int:
     if isinstance(value, dict):
-        parts = list(cast(dict[str, object], value).items())
-        match parts:
-            case [(seconds, int(whole)), (nanoseconds, int(rest))] if (
-                seconds in SECONDS and nanoseconds in NANOSECONDS
-            ):
+        fields = cast(dict[str, object], value)
+        match [fields[name] for name in time_parts(fields) or ()]:
+            case [int(whole), int(rest)]:
                 value = whole * 1_000_000_000 + rest
             case _:
                 raise _ShapeError

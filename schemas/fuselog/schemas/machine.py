@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fuselog.schemas.compiled import HOST_IS_BIG_ENDIAN, inline, kernel, load
 from fuselog.schemas.messages import Fault
+from fuselog.schemas.tree import KINDS
 
 WORDS: Final = 5  # of an operation: its code and up to four operands
 LOAD: Final = 0  # kind count column: numbers into neighbouring columns
@@ -26,17 +27,16 @@ WHILE: Final = 8  # register limit exit: the next element, or to `exit` at the l
 JUMP: Final = 9  # target
 
 _HEADER: Final = 4  # bytes of encapsulation
-_BYTE: Final = 0  # kinds, as in tree.KINDS
-_INT8: Final = 1
-_BOOL: Final = 3
-_UINT16: Final = 4
-_INT16: Final = 5
-_UINT32: Final = 8
-_INT32: Final = 9
-_FLOAT32: Final = 10
-_UINT64: Final = 12
-_INT64: Final = 13
-_FLOAT64: Final = 14
+_INT8: Final = KINDS["int8"]
+_BOOL: Final = KINDS["bool"]
+_UINT16: Final = KINDS["uint16"]
+_INT16: Final = KINDS["int16"]
+_UINT32: Final = KINDS["uint32"]
+_INT32: Final = KINDS["int32"]
+_FLOAT32: Final = KINDS["float32"]
+_UINT64: Final = KINDS["uint64"]
+_INT64: Final = KINDS["int64"]
+_FLOAT64: Final = KINDS["float64"]
 _GOOD: Final = int(Fault.NONE)
 _SIZE: Final = int(Fault.SIZE)
 _SCHEMA: Final = int(Fault.SCHEMA)
@@ -109,12 +109,12 @@ def _message(  # noqa: PLR0917  one flat loop, and what it works on
 ) -> int:
     """Run the program over the message whose byte 4 is ``data[base]``, where all positions count from."""
     swapped = (data[base - _HEADER + 1] == 0) != HOST_IS_BIG_ENDIAN
-    values, count, index = rows.values[row], loops[0], loops[1]
+    ops, values, count, index = program.operations, rows.values[row], loops[0], loops[1]
     at = 0  # of the next byte
     first = items = 0  # where the last sequence of numbers began, and how many it holds
     stamps = step = 0
-    while step < program.operations.shape[0]:
-        code, a, b, c, d = program.operations[step]
+    while step < ops.shape[0]:
+        code, a, b, c, d = ops[step, 0], ops[step, 1], ops[step, 2], ops[step, 3], ops[step, 4]
         step += 1
         if code == LOAD:
             at = _aligned(at, _size(a))

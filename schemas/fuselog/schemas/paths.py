@@ -7,14 +7,14 @@ from itertools import islice
 from typing import Final, TypeAlias
 
 from fuselog.schemas.errors import SchemaError
-from fuselog.schemas.tree import Array, Node, Number, Open, Record, Text, is_integer, is_time, kind_of
+from fuselog.schemas.tree import Array, Node, Number, Open, Record, Text, is_time, kind_of, time_parts
 
 Path: TypeAlias = tuple[str | int, ...]
 Leaf: TypeAlias = tuple[Path, Number | Text | Open]
 
 COUNT: Final = -1  # the token of `[]`, the number of elements
-_TOKEN: Final = re.compile(r"\.?([A-Za-z_]\w*)|\[(\d{0,9})\]")
-_PATH: Final = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*|\[\d{0,9}\])*")
+_TOKEN: Final = re.compile(r"\.?([^\W\d][\w-]*)|\[(\d{0,9})\]")
+_PATH: Final = re.compile(r"[^\W\d][\w-]*(\.[^\W\d][\w-]*|\[\d{0,9}\])*")
 _STAMPS: Final = ("stamp_ns", "timestamp_ns", "time_ns", "t_ns", "stamp", "timestamp")
 _WIDEST: Final = 100_000  # columns of one path
 _MOST_LISTED: Final = 10_000
@@ -69,9 +69,10 @@ def expand(schema: str, root: Node, path: Path) -> list[Leaf]:
 def stamp_leaves(schema: str, root: Node, path: Path) -> list[tuple[Path, int]]:
     """Leaves that add up to the stamp in ns, each with its factor: seconds 10^9, nanoseconds 1."""
     node = find_node(schema, root, path)
-    if isinstance(node, Record) and is_time(node):
-        return [((*path, name), scale) for name, scale in zip(node.fields, (1_000_000_000, 1), strict=True)]
-    if isinstance(node, Number) and node.kind in {"int64", "uint64"} and isinstance(path[-1], str):
+    parts = time_parts(node.fields) if isinstance(node, Record) and is_time(node) else None
+    if parts is not None:
+        return [((*path, parts[0]), 1_000_000_000), ((*path, parts[1]), 1)]
+    if _is_stamp(node) and isinstance(path[-1], str):
         return [(path, 1)]
     reason = f"{join_path(path)} is {kind_of(node)}, not a stamp (a builtin_interfaces/Time or 64-bit ns)"
     raise SchemaError(schema, reason)
@@ -81,7 +82,7 @@ def guess_stamp(root: Node) -> str | None:
     """``header.stamp`` if there, else a top-level field named like a stamp, else None."""
     fields = root.fields if isinstance(root, Record) else {}
     header = fields.get("header")
-    if isinstance(header, Record) and is_time(header.fields.get("stamp", Open())):
+    if isinstance(header, Record) and _is_stamp(header.fields.get("stamp", Open())):
         return "header.stamp"
     return next((name for name in _STAMPS if name in fields and _is_stamp(fields[name])), None)
 
@@ -122,7 +123,7 @@ def _leaves(path: Path, node: Node) -> Iterator[tuple[Path, Node]]:
 
 
 def _is_stamp(node: Node) -> bool:
-    return is_time(node) or (is_integer(node) and kind_of(node) in {"int64", "uint64"})
+    return is_time(node) or node in (Number("int64"), Number("uint64"))
 
 
 def _not_numeric(path: Path, leaf: Path, node: Node) -> str:

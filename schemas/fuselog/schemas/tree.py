@@ -1,5 +1,6 @@
 """The shape of a message as a small tree: what every schema language is parsed into."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
@@ -58,16 +59,26 @@ class Record:
 
 Node: TypeAlias = Number | Text | Open | Array | Record
 
-SECONDS: Final = ("sec", "secs", "seconds")
-NANOSECONDS: Final = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
+_SECONDS: Final = ("sec", "secs", "seconds")
+_NANOSECONDS: Final = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
+
+
+def time_parts(names: Iterable[str]) -> tuple[str, str] | None:
+    """The names of whole seconds and nanoseconds, if these are all: as in builtin_interfaces/Time."""
+    match sorted(names, key=lambda name: name in _NANOSECONDS):
+        case [seconds, nanoseconds] if seconds in _SECONDS and nanoseconds in _NANOSECONDS:
+            return seconds, nanoseconds
+        case _:
+            return None
 
 
 def is_time(node: Node) -> bool:
-    """Whether ``node`` is a record of whole seconds and nanoseconds, like builtin_interfaces/Time."""
-    if not isinstance(node, Record) or len(node.fields) != 2:
-        return False
-    (seconds, first), (nanoseconds, second) = node.fields.items()
-    return seconds in SECONDS and nanoseconds in NANOSECONDS and is_integer(first) and is_integer(second)
+    """Whether ``node`` is a record of whole seconds and nanoseconds and nothing else."""
+    return (
+        isinstance(node, Record)
+        and time_parts(node.fields) is not None
+        and all(map(is_integer, node.fields.values()))
+    )
 
 
 def is_integer(node: Node) -> bool:
