@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-SAMPLE_WIDTH = 3  # numbers that come with a sample besides what was measured: the position of a beacon
+from fuselog.fusion.tables import SAMPLE_WIDTH
 
 
 class Decision(IntEnum):
@@ -34,6 +34,7 @@ class Events(NamedTuple):
     fault: NDArray[np.uint8]  # (n,) of Decision
     z: NDArray[np.float64]  # (n, M + SAMPLE_WIDTH) measured numbers, then what came with them
     R: NDArray[np.float64]  # (n, M * M) their covariance; a sensor of m numbers uses the first m * m
+    arrival_ns: NDArray[np.int64]  # (n,) when it was received; no estimate depends on it
 
     @property
     def size(self) -> int:
@@ -48,9 +49,8 @@ class Events(NamedTuple):
 def no_events(rows: int) -> Events:
     """``rows`` is M, the most numbers that one sample of any sensor measures."""
     integers = [np.empty(0, np.int64) for _ in range(3)]
-    return Events(
-        *integers, np.empty(0, np.uint8), np.empty((0, rows + SAMPLE_WIDTH)), np.empty((0, rows * rows))
-    )
+    numbers = [np.empty((0, rows + SAMPLE_WIDTH)), np.empty((0, rows * rows))]
+    return Events(*integers, np.empty(0, np.uint8), *numbers, np.empty(0, np.int64))
 
 
 def join(parts: Sequence[Events]) -> Events:

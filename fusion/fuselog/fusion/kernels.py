@@ -17,6 +17,7 @@ from typing import Any
 from fuselog.schemas.errors import FuselogError
 
 _HERE = Path(__file__).parent
+MODEL_NAMES = ("constant_velocity", "unicycle", "differential_drive", "omni3d")
 _COMPILED = ("step.py", "advance.py")  # the text that is compiled together with a generated model
 _SOURCES = (*_COMPILED, "model.py", "quantities.py", "codegen.py", "rows.py", "scalars.py", "tables.py")
 _OWN_IMPORTS = ("from fuselog.fusion.blank import", "from fuselog.fusion.step import")

@@ -1,0 +1,255 @@
+"""From decoded columns to measured numbers: orientation, mounting, datum, scale and covariance, sample by sample.
+
+One kernel does it for any sensor, row by row, so that a batch of one gives the same bytes as a batch of a million.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuselog.fusion.events import Decision
+from fuselog.fusion.geodesy import enu
+from fuselog.fusion.mounts import Mount
+from fuselog.fusion.readings import Part, Shape
+from fuselog.fusion.rotations import Quaternion, quaternion_product, rpy_from_quaternion
+from fuselog.fusion.sensors import SensorPlan
+from fuselog.fusion.tables import SAMPLE_WIDTH, Role
+from fuselog.schemas.compiled import inline, kernel
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+VECTOR, ORIENTATION, GEODETIC = int(Shape.VECTOR), int(Shape.ORIENTATION), int(Shape.GEODETIC)
+GOOD, NAN, CLOCK, COVARIANCE = (
+    int(d) for d in (Decision.FUSED, Decision.INVALID_NAN, Decision.INVALID_CLOCK, Decision.INVALID_COVARIANCE)
+)
+
+
+class Recipe(NamedTuple):
+    """How the columns of one sensor become m numbers: parts of 1 or 3 quantities, of which some are picked.
+
+    Columns are numbered as ``fields`` of the binder; -1 stands for none.
+    """
+
+    shape: Ints  # (parts,) of Shape
+    column: Ints  # (parts,) where the part's numbers begin
+    slot: Ints  # (parts,) where its quantities begin
+    size: Ints  # (parts,) how many quantities
+    covariance: Ints  # (slots, slots) column of each entry
+    pick: Ints  # (m,) slot of each fused number
+    extra: Ints  # (SAMPLE_WIDTH,) columns of what comes with a sample
+    variance: Floats  # (m,) that takes the place of the message's; NaN to keep it
+    floor: Floats  # (m,) least variance
+    scale: Floats  # (m,)
+    offset: Floats  # (m,)
+    inflate: float  # factor on the message's variances
+
+
+@dataclass(frozen=True, slots=True)
+class Binder:
+    """The fields that a sensor needs of a message type, and what is made of them."""
+
+    fields: tuple[str, ...]
+    recipe: Recipe
+    needs_datum: bool
+
+    def bind(self, values: Floats, t_ns: Ints, fault: NDArray[np.uint8], mount: Mount, datum: Floats, rows: int) -> tuple[Floats, Floats]:
+        """z (n, rows + SAMPLE_WIDTH) and R (n, rows * rows); marks in ``fault`` the rows that cannot be used."""
+        z = np.zeros((len(t_ns), rows + SAMPLE_WIDTH))
+        R = np.zeros((len(t_ns), rows * rows))
+        bind_rows(self.recipe, values, t_ns, fault, mount.matrix, mount.quaternion, mount.turned, datum, z, R)
+        return z, R
+
+
+def make_binder(sensor: SensorPlan, parts: Sequence[Part]) -> Binder:
+    """The binder of a sensor whose numbers are in these parts of its messages."""
+    fields: list[str] = []
+    names = [name for part in parts for name in part.names]
+    columns, slots, slot = list[int](), list[int](), 0
+    for part in parts:
+        columns.append(len(fields))
+        slots.append(slot)
+        fields += part.fields
+        slot += len(part.names)
+    covariance = np.full((len(names), len(names)), -1, np.int64)
+    for part, at in zip(parts, slots, strict=True):
+        for other, to in zip(parts, slots, strict=True):
+            _place_covariance(covariance, fields, (part, at), (other, to))
+    settings = sensor.settings
+    extra = [-1] * SAMPLE_WIDTH
+    if settings.kind == "beacon_range":
+        for axis in "xyz":
+            extra["xyz".index(axis)] = len(fields)
+            fields.append(f"{settings.beacon or 'beacon_position'}.{axis}")
+    recipe = Recipe(
+        shape=np.array([part.shape for part in parts], np.int64),
+        column=np.array(columns, np.int64),
+        slot=np.array(slots, np.int64),
+        size=np.array([len(part.names) for part in parts], np.int64),
+        covariance=covariance,
+        pick=np.array([names.index(name) for name in sensor.names], np.int64),
+        extra=np.array(extra, np.int64),
+        variance=np.array([settings.noise.get(name, math.nan) ** 2 for name in sensor.names]),
+        floor=np.array([settings.noise_floor.get(name, 0.0) ** 2 for name in sensor.names]),
+        scale=np.array([settings.scale.get(name, 1.0) for name in sensor.names]),
+        offset=np.array([settings.offset.get(name, 0.0) for name in sensor.names]),
+        inflate=settings.noise_scale**2,
+    )
+    return Binder(tuple(fields), recipe, any(part.shape == Shape.GEODETIC for part in parts))
+
+
+def without_noise(sensor: SensorPlan, parts: Sequence[Part]) -> list[str]:
+    """The fused numbers whose noise nobody gives: neither the message nor the configuration."""
+    covered = {name for part in parts if part.covariance is not None for name in part.names}
+    covered = set[str]() if sensor.role != Role.MEASURES else covered
+    return [name for name in sensor.names if name not in covered and name not in sensor.settings.noise]
+
+
+def _place_covariance(
+    covariance: Ints, fields: list[str], rows: tuple[Part, int], columns: tuple[Part, int]
+) -> None:
+    """Columns for the covariance between two parts, when they stand in the same matrix."""
+    (part, at), (other, to) = rows, columns
+    a, b = part.covariance, other.covariance
+    if a is None or b is None or a.path != b.path:
+        return
+    for i in range(len(part.names)):
+        for j in range(len(other.names)):
+            entry = f"{a.path}[{(a.row + i) * a.order + b.row + j}]" if a.order else a.path
+            covariance[at + i, to + j] = len(fields)
+            fields.append(entry)
+
+
+@kernel
+def bind_rows(
+    recipe: Recipe,
+    values: Floats,
+    t_ns: Ints,
+    fault: NDArray[np.uint8],
+    matrix: Floats,
+    quaternion: Floats,
+    turned: bool,
+    datum: Floats,
+    z: Floats,
+    R: Floats,
+) -> None:
+    """Fill z and R from ``values`` (n, fields); sets the fault of rows that cannot be used."""
+    slots, m = len(recipe.covariance), len(recipe.pick)
+    full, C, half = np.zeros(slots), np.zeros((slots, slots)), np.zeros((slots, slots))
+    L = np.zeros(m * m)
+    undo = (-quaternion[0], -quaternion[1], -quaternion[2], quaternion[3])
+    for n in range(len(t_ns)):
+        if fault[n] != GOOD:
+            continue
+        for part in range(len(recipe.shape)):
+            read_part(recipe, values[n], part, matrix, undo, turned, datum, full)
+        gather(recipe, values[n], C)
+        if turned:
+            turn(recipe, C, half, matrix)
+        for i in range(m):
+            z[n, i] = full[recipe.pick[i]] * recipe.scale[i] + recipe.offset[i]
+            for j in range(m):
+                entry = 0.5 * (C[recipe.pick[i], recipe.pick[j]] + C[recipe.pick[j], recipe.pick[i]])
+                R[n, i * m + j] = noise(recipe, i, j, entry)
+        for i in range(SAMPLE_WIDTH):
+            z[n, z.shape[1] - SAMPLE_WIDTH + i] = values[n, recipe.extra[i]] if recipe.extra[i] >= 0 else 0.0
+        fault[n] = judge(t_ns[n], z[n], R[n], m, L)
+
+
+@inline
+def read_part(
+    recipe: Recipe, row: Floats, part: int, matrix: Floats, undo: Quaternion, turned: bool, datum: Floats, full: Floats
+) -> None:
+    """The quantities of one part, in body axes."""
+    c, s = recipe.column[part], recipe.slot[part]
+    if recipe.shape[part] == ORIENTATION:
+        x, y, z, w = row[c], row[c + 1], row[c + 2], row[c + 3]
+        if not 0.0 < x * x + y * y + z * z + w * w < math.inf:
+            x = math.nan
+        if turned:
+            x, y, z, w = quaternion_product((x, y, z, w), undo)
+        full[s], full[s + 1], full[s + 2] = rpy_from_quaternion(x, y, z, w)
+    elif recipe.shape[part] == GEODETIC:
+        full[s], full[s + 1], full[s + 2] = enu(datum, row[c], row[c + 1], row[c + 2])
+    elif recipe.shape[part] == VECTOR and turned:
+        for i in range(3):
+            full[s + i] = matrix[i, 0] * row[c] + matrix[i, 1] * row[c + 1] + matrix[i, 2] * row[c + 2]
+    else:
+        for i in range(recipe.size[part]):
+            full[s + i] = row[c + i]
+
+
+@inline
+def gather(recipe: Recipe, row: Floats, C: Floats) -> None:
+    """The covariance of all quantities as the message has it; 0 where it has none."""
+    for i in range(len(C)):
+        for j in range(len(C)):
+            column = recipe.covariance[i, j]
+            C[i, j] = row[column] if column >= 0 else 0.0
+
+
+@inline
+def turn(recipe: Recipe, C: Floats, half: Floats, matrix: Floats) -> None:
+    """C = T C T', where T turns the vectors and attitudes from the sensor's axes to the body's."""
+    half[:] = C
+    for part in range(len(recipe.shape)):
+        s = recipe.slot[part]
+        if recipe.shape[part] in (VECTOR, ORIENTATION):
+            for i in range(3):
+                for j in range(len(C)):
+                    half[s + i, j] = matrix[i, 0] * C[s, j] + matrix[i, 1] * C[s + 1, j] + matrix[i, 2] * C[s + 2, j]
+    C[:] = half
+    for part in range(len(recipe.shape)):
+        s = recipe.slot[part]
+        if recipe.shape[part] in (VECTOR, ORIENTATION):
+            for i in range(len(C)):
+                for j in range(3):
+                    C[i, s + j] = (
+                        half[i, s] * matrix[j, 0] + half[i, s + 1] * matrix[j, 1] + half[i, s + 2] * matrix[j, 2]
+                    )
+
+
+@inline
+def noise(recipe: Recipe, i: int, j: int, entry: float) -> float:
+    """One entry of R: the configured variance, or the message's, inflated, floored and scaled with the value."""
+    if i == j:
+        own = recipe.variance[i]
+        variance = entry * recipe.inflate if math.isnan(own) else own
+        if 0.0 < variance < recipe.floor[i]:
+            variance = recipe.floor[i]
+        return variance * recipe.scale[i] ** 2 if math.isnan(own) else variance
+    if math.isnan(recipe.variance[i]) and math.isnan(recipe.variance[j]):
+        return entry * recipe.inflate * recipe.scale[i] * recipe.scale[j]
+    return 0.0
+
+
+@inline
+def judge(t: int, z: Floats, R: Floats, m: int, L: Floats) -> int:
+    """Whether a sample can be used: a stamp after 1970, finite numbers, a positive definite covariance."""
+    if t <= 0:
+        return CLOCK
+    for i in range(len(z)):
+        if not math.isfinite(z[i]):
+            return NAN
+    return GOOD if positive_definite(R, L, m) else COVARIANCE
+
+
+@inline
+def positive_definite(R: Floats, L: Floats, m: int) -> bool:
+    """By the pivots of its Cholesky factor, left in L."""
+    for i in range(m):
+        for j in range(i + 1):
+            total = R[i * m + j]
+            for k in range(j):
+                total -= L[i * m + k] * L[j * m + k]
+            if i != j:
+                L[i * m + j] = total / L[j * m + j]
+            elif 0.0 < total < math.inf:
+                L[i * m + i] = math.sqrt(total)
+            else:
+                return False
+    return True

@@ -1,0 +1,150 @@
+"""The configuration as data: every key with its default, unknown keys refused."""
+
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+_UNITS = {"s": 1.0, "ms": 1e-3, "min": 60.0}
+
+
+def _seconds(value: Any) -> Any:
+    if isinstance(value, str):
+        match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(s|ms|min)?\s*", value)
+        if match is None:
+            raise ValueError("expected a time such as 0.5, '0.5 s', '500 ms' or '2 min'")
+        return float(match[1]) * _UNITS[match[2] or "s"]
+    return value
+
+
+Seconds = Annotated[float, BeforeValidator(_seconds)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+
+
+class Settings(BaseModel):
+    """A part of the configuration; keys that it does not have are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+class ModelSettings(Settings):
+    """Which motion model, and its process noise as spectral densities (unit² / s), independent of the rate."""
+
+    name: str = Field(description="constant_velocity, unicycle, differential_drive or omni3d")
+    process_noise: dict[str, NotNegative] = Field(default_factory=dict)
+
+
+class InitialSettings(Settings):
+    """Where the filter starts. A state not given here is taken from the first measurement of it."""
+
+    source: Literal["first_measurement"] = Field("first_measurement", alias="from")
+    state: dict[str, Finite] = Field(default_factory=dict, description="values of states, in their units")
+    sd: dict[str, NotNegative] = Field(default_factory=dict, description="standard deviations; 1 when not given")
+
+
+class GainSettings(Settings):
+    """How the gain is made: by the filter (optimal), or fixed as in Bezmen 2019."""
+
+    mode: Literal["optimal", "fixed"] = "optimal"
+    form: Literal["absorb", "state"] = Field(
+        "absorb", description="absorb: share of each innovation; state: weights of numbers in states (eq. 29)"
+    )
+    reference: Literal["live", "scales"] = Field("live", description="absorb: what stands for P in the gain")
+    scales: dict[str, Positive] = Field(default_factory=dict, description="reference: scales: sd of each state")
+    weights: dict[str, Any] = Field(
+        default_factory=dict,
+        description="absorb: {sensor.number: share}; state: {state: {sensor.number: weight}}",
+    )
+    sum: Literal["one", "at_most_one", "free"] = Field("at_most_one", description="state: what each row adds up to")
+
+
+class LagSettings(Settings):
+    """How late a sample may be and still be fused at its own time."""
+
+    window: Annotated[Seconds, Field(ge=0, le=3600)] = 1.0
+    order: Literal["by_stamp", "as_received"] = Field(
+        "by_stamp", description="reprocess: rows in stamp order, or as the live service published them"
+    )
+
+
+class MountSettings(Settings):
+    """Where the sensor sits on the body: base_from_sensor."""
+
+    xyz: Vector = Field((0.0, 0.0, 0.0), description="m, body axes")
+    rpy: Vector = Field((0.0, 0.0, 0.0), description="rad")
+
+
+class SensorSettings(Settings):
+    """One stream of samples and what of it is fused."""
+
+    topic: str = Field(min_length=1)
+    type: str | None = Field(None, description="message type; by default as the log or the publisher says")
+    kind: Literal["state", "polar", "beacon_range", "input"] = "state"
+    fuse: list[str] = Field(default_factory=list, description="names of states, or of what the kind measures")
+    fields: dict[str, str] = Field(default_factory=dict, description="name: path in the message, for other types")
+    value: str | None = Field(None, description="beacon_range: path of the range")
+    beacon: str | None = Field(None, description="beacon_range: path of the beacon's position (x, y, z)")
+    variance: dict[str, str] = Field(default_factory=dict, description="name: path of its variance in the message")
+    covariance: str | None = Field(None, description="path of a square covariance of the numbers, in their order")
+    stamp: str | None = Field(None, description="path of the stamp; found by itself as a rule")
+    noise: dict[str, Positive] = Field(
+        default_factory=dict, description="sd in place of the message's; of an input: per root hertz"
+    )
+    noise_floor: dict[str, Positive] = Field(default_factory=dict, description="least sd")
+    noise_scale: Positive = Field(1.0, description="factor on the message's sd")
+    scale: dict[str, Finite] = Field(default_factory=dict, description="factor on the value")
+    offset: dict[str, Finite] = Field(default_factory=dict, description="added to the scaled value")
+    gate: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None, description="probability that a good sample passes (chi-square by its degrees of freedom)"
+    )
+    mount: MountSettings | Literal["from_tf"] = MountSettings()
+    frame: str | None = Field(None, description="from_tf: the sensor's frame; by default as the message says")
+    hold: Literal["next", "previous"] = Field("next", description="input: holds after its stamp, or up to it")
+    remove_gravity: bool = Field(True, description="accelerations are specific force, as an IMU gives")
+    station: Vector = Field((0.0, 0.0, 0.0), description="polar: where the station is, m, world")
+    datum: Literal["first_fix"] | Vector = Field(
+        "first_fix", description="NavSatFix: latitude, longitude (deg), altitude (m) of the origin"
+    )
+
+
+class OutputSettings(Settings):
+    """Where estimates go and how their frames are called."""
+
+    estimate: str = "fused/odom"
+    frame: str = "odom"
+    child: str = "base_link"
+
+
+class ZenohSettings(Settings):
+    """How the service meets others. The default listens on loopback only and looks for nobody."""
+
+    mode: Literal["peer", "client"] = "peer"
+    listen: list[str] = Field(default_factory=lambda: ["tcp/127.0.0.1:7447"])
+    connect: list[str] = Field(default_factory=list)
+    multicast: bool = False
+
+
+class HttpSettings(Settings):
+    """Where health is served."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 8080
+
+
+class Config(Settings):
+    """One filter: model, start, gain, sensors, and where its results go."""
+
+    version: Literal[1] = Field(alias="fuselog")
+    id: str = Field("filter", pattern=r"^[A-Za-z0-9_.-]{1,64}$")
+    model: ModelSettings
+    initial: InitialSettings = InitialSettings.model_validate({})
+    gain: GainSettings = GainSettings.model_validate({})
+    lag: LagSettings = LagSettings.model_validate({})
+    gravity: Positive = Field(9.80665, description="m/s²")
+    sensors: dict[str, SensorSettings] = Field(min_length=1)
+    output: OutputSettings = OutputSettings()
+    zenoh: ZenohSettings = ZenohSettings.model_validate({})
+    http: HttpSettings = HttpSettings()

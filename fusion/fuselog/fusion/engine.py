@@ -1,0 +1,176 @@
+"""The engine: owns one filter's memory and moves it by batches of events. The only way to move a filter."""
+
+from dataclasses import dataclass
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuselog.fusion.events import Decision, Events
+from fuselog.fusion.kernels import kernel_module
+from fuselog.fusion.plan import Plan
+from fuselog.fusion.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Work
+from fuselog.fusion.track import Track
+
+_FIRST_CAPACITY = 256  # entries; the history grows with what the window holds
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """The newest state of a filter. ``t_ns`` is None while it has fused nothing."""
+
+    t_ns: int | None
+    x: NDArray[np.float64]  # (N,)
+    P: NDArray[np.float64]  # (N, N)
+    known: NDArray[np.bool_]  # (N,) False while a state waits for its first measurement
+
+
+class Snapshot(NamedTuple):
+    """Everything that an engine remembers; restoring it continues as if nothing had happened in between."""
+
+    history: History
+    sensor: NDArray[np.float64]
+
+
+class Engine:
+    """One filter. ``advance`` takes events in arrival order and applies each at its own time.
+
+    A sample older than the filter but inside ``lag.window`` rewinds to the entry before it, and all sensors are
+    replayed from there; an older one is counted late. Cutting the input into batches changes no bit of any row.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self._kernel = kernel_module(plan.card.name, plan.measured)
+        self._tables = plan.tables._replace(sensor=plan.tables.sensor.copy())
+        self._work = _work(self._kernel, plan.tables.M)
+        self._history = _history(self._kernel, plan)
+
+    def advance(self, events: Events) -> Track:
+        """Apply the events, in the order given, and return a row for each."""
+        n, M, N = events.size, self.plan.tables.M, len(self.plan.states)
+        rows = _rows(n, N, M, self._kernel.LD)
+        samples = Samples(n, *(np.ascontiguousarray(column).reshape(-1) for column in events[:6]))
+        done = 0
+        while (done := self._kernel.advance(self._tables, self._history, self._work, samples, done, rows)) < n:
+            self._grow()
+        return Track(
+            states=self.plan.states,
+            sensors=tuple(sensor.name for sensor in self.plan.sensors),
+            t_ns=rows.t_ns,
+            stamp_ns=events.t_ns,
+            arrival_ns=events.arrival_ns,
+            sensor=events.sensor,
+            seq=events.seq,
+            decision=rows.decision,
+            nis=rows.nis,
+            dof=rows.dof,
+            x=rows.x[: n * N].reshape(n, N),
+            P=rows.P[: n * N * (N + 1) // 2].reshape(n, -1),
+            innovation=rows.nu.reshape(n, M),
+            innovation_variance=rows.S.reshape(n, M),
+            absorbed=rows.absorbed.reshape(n, M),
+        )
+
+    def place(self, rank: int, lever: NDArray[np.float64]) -> None:
+        """Say where a sensor is (m, body axes), before any of its samples are applied."""
+        self._tables.sensor[rank * 7 : rank * 7 + 3] = lever
+
+    @property
+    def estimate(self) -> Estimate:
+        """The newest state, as copies."""
+        kernel, tail = self._kernel, int(self._history.cursor[1])
+        N, LD = kernel.N, kernel.LD
+        row = self._history.state[tail * kernel.ROW : (tail + 1) * kernel.ROW].copy()
+        t = int(self._history.t[tail])
+        P = row[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N]
+        known = row[kernel.KNOWN : kernel.KNOWN + N] != 0
+        return Estimate(t_ns=None if t == NEVER else t, x=row[:N], P=P, known=known)
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """(S, decisions): how many samples of each sensor met each ``Decision``, as it stands after every rewind."""
+        return self._history.counts.reshape(-1, DECISIONS).copy()
+
+    def snapshot(self) -> Snapshot:
+        """Everything remembered, as copies."""
+        return Snapshot(_copy(self._history), self._tables.sensor.copy())
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to a snapshot of an engine with the same plan."""
+        self._history = _copy(snapshot.history)
+        self._tables.sensor[:] = snapshot.sensor
+
+    def _grow(self) -> None:
+        old = self._history
+        new = _empty_history(self._kernel, self.plan.tables.M, len(self.plan.sensors), 2 * old.capacity)
+        for before, after in zip(old[1:], new[1:], strict=True):
+            after[: len(before)] = before
+        self._history = new
+
+
+def _copy(history: History) -> History:
+    return History(history.capacity, *(column.copy() for column in history[1:]))
+
+
+def _history(kernel: ModuleType, plan: Plan) -> History:
+    """A history that holds the prior only, at no time yet."""
+    history = _empty_history(kernel, plan.tables.M, len(plan.sensors), _FIRST_CAPACITY)
+    N, LD = kernel.N, kernel.LD
+    history.state[:N] = plan.x
+    history.state[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N] = plan.P
+    history.state[kernel.KNOWN : kernel.KNOWN + N] = plan.known
+    history.cursor[:] = 0, 0, NEVER
+    history.t[0] = NEVER
+    history.decision[0] = Decision.FUSED
+    return history
+
+
+def _empty_history(kernel: ModuleType, M: int, sensors: int, capacity: int) -> History:
+    C = capacity
+    return History(
+        capacity=C,
+        cursor=np.zeros(3, np.int64),
+        counts=np.zeros(sensors * DECISIONS, np.int64),
+        t=np.zeros(C, np.int64),
+        sensor=np.zeros(C, np.int64),
+        seq=np.zeros(C, np.int64),
+        decision=np.zeros(C, np.uint8),
+        z=np.zeros(C * (M + SAMPLE_WIDTH)),
+        R=np.zeros(C * M * M),
+        state=np.zeros(C * kernel.ROW),
+        nis=np.zeros(C),
+        dof=np.zeros(C, np.int64),
+        nu=np.zeros(C * M),
+        S=np.zeros(C * M),
+        absorbed=np.zeros(C * M),
+    )
+
+
+def _work(kernel: ModuleType, M: int) -> Work:
+    return Work(
+        rows=np.zeros(kernel.SCRATCH),
+        S=np.zeros(M * M),
+        L=np.zeros(M * M),
+        y=np.zeros(M),
+        nu=np.zeros(M),
+        hv=np.zeros(M * kernel.WIDTH),
+        hi=np.zeros(M * kernel.WIDTH, np.int64),
+        hn=np.zeros(M, np.int64),
+        active=np.zeros(M, np.int64),
+    )
+
+
+def _rows(n: int, N: int, M: int, spare: int) -> Rows:
+    return Rows(
+        t_ns=np.empty(n, np.int64),
+        decision=np.empty(n, np.uint8),
+        nis=np.full(n, np.nan),
+        dof=np.zeros(n, np.int64),
+        x=np.empty(n * N + spare),
+        P=np.empty(n * N * (N + 1) // 2 + spare),
+        nu=np.full(n * M, np.nan),
+        S=np.full(n * M, np.nan),
+        absorbed=np.full(n * M, np.nan),
+    )

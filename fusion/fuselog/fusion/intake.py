@@ -1,0 +1,240 @@
+"""Raw messages in, events out: every sensor decoded and bound, in the order of arrival."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuselog.fusion.bind import Binder, make_binder, without_noise
+from fuselog.fusion.config import Problem, did_you_mean
+from fuselog.fusion.events import Decision, Events, join, no_events
+from fuselog.fusion.mounts import IDENTITY, Mount, StaticTransforms, configured_mount
+from fuselog.fusion.plan import Plan
+from fuselog.fusion.readings import PARTS, Shape, sensor_parts
+from fuselog.fusion.sensors import SensorPlan
+from fuselog.fusion.stream import Stream, own_messages, same_topic
+from fuselog.schemas import Codec, Fault, Messages, SchemaError
+
+TF_STATIC = "/tf_static"
+_FROM_FAULT = np.array([Decision.FUSED, Decision.INVALID_SIZE, Decision.INVALID_SCHEMA], np.uint8)
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Tap:
+    """How one stream feeds one sensor."""
+
+    stream: Stream
+    codec: Codec
+    binder: Binder
+    stamped: bool  # whether the messages carry a stamp; the time of arrival stands in for one
+
+
+@dataclass(slots=True)
+class _Feed:
+    """One sensor, the streams that feed it, and what it holds back until its mount is known."""
+
+    sensor: SensorPlan
+    mount: Mount | None
+    taps: dict[int, _Tap] = field(default_factory=dict[int, _Tap])
+    held: list[Messages] = field(default_factory=list[Messages])
+    taken: int = 0  # messages that became events
+
+    @property
+    def pending(self) -> int:
+        return sum(len(messages) for messages in self.held)
+
+
+class Taken(NamedTuple):
+    """What a batch of messages gave: events in arrival order, and the lever arm (m) of each sensor placed by it."""
+
+    events: Events
+    levers: dict[int, Floats]
+
+
+class Intake:
+    """Turns batches of raw messages into events.
+
+    A sensor whose mount is to come from /tf_static holds its samples back until then; they count as pending, and
+    stand in the arrival order where the transform arrived. How the input is cut into batches makes no difference.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._feeds = [_Feed(sensor, configured_mount(sensor.settings)) for sensor in plan.sensors]
+        self._transforms = StaticTransforms()
+        self._tf_streams: dict[int, Stream] = {}
+        self._datum = _configured_datum(plan)
+
+    @property
+    def topics(self) -> list[str]:
+        """The topics that the configuration names, and the static transforms when a mount comes from them."""
+        topics = [feed.sensor.settings.topic for feed in self._feeds]
+        waits = any(feed.sensor.settings.mount == "from_tf" for feed in self._feeds)
+        return list(dict.fromkeys([*topics, *([TF_STATIC] if waits else [])]))
+
+    @property
+    def datum(self) -> Floats | None:
+        """Latitude, longitude (deg) and altitude (m) of the local frame's origin, once it is known."""
+        return None if np.isnan(self._datum[0]) else self._datum
+
+    @property
+    def received(self) -> list[int]:
+        """How many messages each sensor got."""
+        return [feed.taken + feed.pending for feed in self._feeds]
+
+    @property
+    def pending(self) -> list[int]:
+        """How many messages of each sensor wait for its mount."""
+        return [feed.pending for feed in self._feeds]
+
+    def require(self, available: Mapping[str, object]) -> None:
+        """Raise ``ConfigError`` for every sensor whose topic is not among ``available``."""
+        names = {same_topic(topic) for topic in available}
+        missing = [
+            Problem(("sensors", feed.sensor.name, "topic"), f"no topic {topic!r} there{did_you_mean(topic, available)}")
+            for feed in self._feeds
+            if same_topic(topic := feed.sensor.settings.topic) not in names
+        ]
+        if missing:
+            raise self._plan.source.complain(missing)
+
+    def open(self, number: int, stream: Stream) -> bool:
+        """Prepare for a stream; False when nothing uses it. Raises ``ConfigError`` when a sensor cannot use it."""
+        topic = same_topic(stream.topic)
+        if topic == same_topic(TF_STATIC):
+            self._tf_streams[number] = stream
+        fed = [feed for feed in self._feeds if same_topic(feed.sensor.settings.topic) == topic]
+        for feed in fed:
+            feed.taps[number] = self._tap(feed.sensor, stream)
+        return bool(fed) or number in self._tf_streams
+
+    def take(self, messages: Messages) -> Taken:
+        """The events of a batch."""
+        self._learn_datum(messages)
+        levers: dict[int, Floats] = {}
+        parts = [no_events(self._plan.tables.M)]
+        for index in self._between_transforms(messages):
+            for feed in self._feeds:
+                if feed.mount is None and self._place(feed, messages, index):
+                    levers[feed.sensor.rank] = (feed.mount or IDENTITY).lever
+            parts.append(self._segment(messages, index))
+        return Taken(join(parts), levers)
+
+    def _between_transforms(self, messages: Messages) -> Iterator[Ints]:
+        """The messages cut into runs, so that static transforms change at the start of a run only."""
+        told = np.flatnonzero(np.isin(messages.stream, list(self._tf_streams)))
+        for first, last in zip([0, *told], [*told, len(messages)], strict=True):
+            if first in told:
+                at = np.array([first])
+                stream = self._tf_streams[int(messages.stream[first])]
+                self._transforms.learn(stream, messages.data, messages.start[at], messages.length[at])
+            yield np.arange(first, last)
+
+    def _segment(self, messages: Messages, index: Ints) -> Events:
+        """The events of a run, what was held back first, then by arrival and rank."""
+        places, parts = list[Ints](), list[Events]()
+        for feed in self._feeds:
+            mine = index[np.isin(messages.stream[index], list(feed.taps))]
+            if feed.mount is None:
+                feed.held += [own_messages(messages, mine)] if len(mine) else []
+                continue
+            for held in feed.held:
+                places.append(np.full(len(held), -1))
+                parts.append(self._events(feed, held, np.arange(len(held))))
+            feed.held.clear()
+            places.append(mine)
+            parts.append(self._events(feed, messages, mine))
+        if not parts:
+            return no_events(self._plan.tables.M)
+        events = join(parts)
+        return events.take(np.lexsort((events.seq, events.sensor, np.concatenate(places))))
+
+    def _events(self, feed: _Feed, messages: Messages, index: Ints) -> Events:
+        """The messages at ``index``, decoded and bound, in their order."""
+        n, M = len(index), self._plan.tables.M
+        blank = no_events(M)
+        events = Events(
+            t_ns=np.zeros(n, np.int64),
+            sensor=np.full(n, feed.sensor.rank),
+            seq=feed.taken + np.arange(n),
+            fault=np.zeros(n, np.uint8),
+            z=np.zeros((n, blank.z.shape[1])),
+            R=np.zeros((n, blank.R.shape[1])),
+            arrival_ns=messages.log_time[index],
+        )
+        for number, tap in feed.taps.items():
+            mine = np.flatnonzero(messages.stream[index] == number)
+            if len(mine):
+                chosen = index[mine]
+                columns = tap.codec.decode(messages.data, messages.start[chosen], messages.length[chosen])
+                t_ns = columns.t_ns if tap.stamped else messages.log_time[chosen]
+                fault = _FROM_FAULT[columns.fault]
+                bound = tap.binder.bind(columns.values, t_ns, fault, feed.mount or IDENTITY, self._datum, M)
+                events.t_ns[mine], events.fault[mine] = t_ns, fault
+                events.z[mine], events.R[mine] = bound
+        feed.taken += n
+        return events
+
+    def _tap(self, sensor: SensorPlan, stream: Stream) -> _Tap:
+        """Decoder and binder of a stream for a sensor; every mismatch is a ``ConfigError`` at the sensor."""
+        settings = sensor.settings
+
+        def refuse(key: str, reason: str) -> Exception:
+            return self._plan.source.complain([Problem(("sensors", sensor.name, key), reason)])
+
+        if settings.type is not None and settings.type != stream.schema_name:
+            raise refuse("type", f"{settings.topic} carries {stream.schema_name}, not {settings.type}")
+        parts = sensor_parts(settings, sensor.names, stream.schema_name)
+        if isinstance(parts, str):
+            raise refuse("fuse", parts)
+        bare = without_noise(sensor, parts)
+        if bare:
+            raise refuse("noise", f"{settings.topic} gives none for {', '.join(bare)}; say noise: {{{bare[0]}: sd}}")
+        binder = make_binder(sensor, parts)
+        try:
+            stamp = settings.stamp or stream.stamp
+            return _Tap(stream, stream.codec(binder.fields, stamp), binder, stamp is not None)
+        except SchemaError as error:
+            raise refuse("topic", str(error)) from error
+
+    def _place(self, feed: _Feed, messages: Messages, index: Ints) -> bool:
+        """Find the mount of a sensor that waits for it, as soon as its frame and the transforms are known."""
+        frame, base = feed.sensor.settings.frame, self._plan.config.output.child
+        source = feed.held[0] if feed.held else messages
+        mine = np.arange(1) if feed.held else index[np.isin(messages.stream[index], list(feed.taps))][:1]
+        if frame is None and len(mine):
+            frame = _frame(feed.taps[int(source.stream[mine[0]])].stream, source, mine)
+        feed.mount = None if frame is None else self._transforms.find(base, frame)
+        return feed.mount is not None
+
+    def _learn_datum(self, messages: Messages) -> None:
+        """The first usable fix of any GNSS sensor becomes the origin, when the configuration gives none."""
+        if self.datum is not None:
+            return
+        first = len(messages)
+        for number, tap in ((n, t) for feed in self._feeds for n, t in feed.taps.items() if t.binder.needs_datum):
+            index = np.flatnonzero(messages.stream == number)
+            part = next(part for part in PARTS[tap.stream.schema_name] if part.shape == Shape.GEODETIC)
+            fixes = tap.stream.codec(part.fields).decode(messages.data, messages.start[index], messages.length[index])
+            good = np.flatnonzero(np.isfinite(fixes.values).all(axis=1) & (fixes.fault == Fault.NONE))
+            if len(good) and index[good[0]] < first:
+                first = int(index[good[0]])
+                self._datum = fixes.values[good[0]].copy()
+
+
+def _configured_datum(plan: Plan) -> Floats:
+    given = [s.settings.datum for s in plan.sensors if s.settings.datum != "first_fix"]
+    return np.array(given[0] if given else (np.nan, np.nan, np.nan))
+
+
+def _frame(stream: Stream, messages: Messages, index: Ints) -> str | None:
+    """The frame that a message says it is in."""
+    if "header.frame_id" not in stream.fields:
+        return None
+    columns = stream.codec(["header.frame_id"]).decode(messages.data, messages.start[index], messages.length[index])
+    return columns.texts["header.frame_id"][0] or None

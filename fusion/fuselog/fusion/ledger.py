@@ -1,0 +1,57 @@
+"""The ledger: every sample that was received is accounted for, sensor by sensor, exactly."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuselog.fusion.events import Decision
+from fuselog.fusion.plan import Plan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Account:
+    """received = fused + pending + duplicate + late + gated + the sum of invalid."""
+
+    received: int
+    fused: int
+    gated: int
+    late: int
+    duplicate: int
+    pending: int
+    invalid: dict[str, int]
+
+    @property
+    def balanced(self) -> bool:
+        """Whether every sample is accounted for."""
+        known = self.fused + self.gated + self.late + self.duplicate + self.pending
+        return self.received == known + sum(self.invalid.values())
+
+
+Ledger = dict[str, Account]
+
+
+def make_ledger(
+    plan: Plan, received: Sequence[int], pending: NDArray[np.int64], counts: NDArray[np.int64]
+) -> Ledger:
+    """The accounts of all sensors, from what came in, what is held, and ``counts`` (S, decisions)."""
+    reasons = [d for d in Decision if d.name.startswith("INVALID_")]
+    return {
+        sensor.name: Account(
+            received=received[i],
+            fused=int(counts[i, Decision.FUSED]),
+            gated=int(counts[i, Decision.GATED]),
+            late=int(counts[i, Decision.LATE]),
+            duplicate=int(counts[i, Decision.DUPLICATE]),
+            pending=int(pending[i]),
+            invalid={d.name.removeprefix("INVALID_").lower(): int(counts[i, d]) for d in reasons},
+        )
+        for i, sensor in enumerate(plan.sensors)
+    }
+
+
+def ledger_json(ledger: Ledger) -> dict[str, dict[str, Any]]:
+    """The ledger as plain data."""
+    return {name: asdict(account) for name, account in ledger.items()}

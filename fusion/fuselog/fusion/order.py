@@ -1,0 +1,52 @@
+"""Arrival order to stamp order: hold events until nothing inside the lag window can still come before them."""
+
+import numpy as np
+
+from fuselog.fusion.events import Decision, Events, join, no_events
+from fuselog.fusion.tables import NEVER
+
+
+class StampOrder:
+    """Reorders a stream of events. What comes out does not depend on how the stream was cut.
+
+    An event older than the newest stamp before it by more than the window is ``LATE``. It, and every event that
+    cannot be used, stands in the order where it arrived: at the newest stamp before it.
+    """
+
+    def __init__(self, window_ns: int, rows: int) -> None:
+        self._window_ns = window_ns
+        self._newest = NEVER
+        self._held = no_events(rows)
+        self._place = np.empty(0, np.int64)  # (held,) where each held event stands in time
+
+    @property
+    def pending(self) -> Events:
+        """What is held back."""
+        return self._held
+
+    def push(self, events: Events) -> Events:
+        """Take events in arrival order; returns, in the total order, those that can be applied."""
+        if events.size == 0:
+            return events
+        usable = events.fault == Decision.FUSED
+        newest = np.maximum.accumulate(np.append(self._newest, np.where(usable, events.t_ns, NEVER)))
+        oldest = np.where(newest == NEVER, NEVER, newest - self._window_ns * (newest != NEVER))
+        late = usable & (events.t_ns < oldest[:-1])
+        fault = np.where(late, np.uint8(Decision.LATE), events.fault)
+        place = np.where(usable & ~late, events.t_ns, newest[:-1])
+        self._newest = newest[-1]
+        self._held = join([self._held, events._replace(fault=fault)])
+        self._place = np.append(self._place, place)
+        return self._release(self._place < oldest[-1])
+
+    def finish(self) -> Events:
+        """What is left, in the total order."""
+        return self._release(np.ones(len(self._place), bool))
+
+    def _release(self, ready: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Events:
+        index = np.flatnonzero(ready)
+        order = np.lexsort((self._held.seq[index], self._held.sensor[index], self._place[index]))
+        released = self._held.take(index[order])
+        rest = np.flatnonzero(~ready)
+        self._held, self._place = self._held.take(rest), self._place[rest]
+        return released

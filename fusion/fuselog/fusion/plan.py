@@ -1,0 +1,147 @@
+"""From a configuration to numbers: every choice made once, every mistake found before the first sample."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuselog.fusion.config import Config, Problem, SensorSettings, Source, did_you_mean
+from fuselog.fusion.gate import chi_square_quantile
+from fuselog.fusion.kernels import MODEL_NAMES, ModelCard, model_card
+from fuselog.fusion.sensors import SensorPlan, plan_sensor
+from fuselog.fusion.tables import Role, Tables
+from fuselog.fusion.weights import gain_tables
+
+_AT_LEVER = {"x": "position_x", "y": "position_y", "z": "position_z"}
+_TWIST = {"vx": "twist_x", "v": "twist_x", "vy": "twist_y", "vz": "twist_z"}
+_FORCE = {"ax": "force_x", "ay": "force_y", "az": "force_z"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """A configuration in numbers, and the names that belong to them."""
+
+    config: Config
+    source: Source
+    card: ModelCard
+    sensors: tuple[SensorPlan, ...]
+    measured: tuple[str, ...]  # the generated quantities, in the order of their numbers
+    tables: Tables
+    x: NDArray[np.float64]  # (N,) initial state
+    P: NDArray[np.float64]  # (N, N) initial covariance
+    known: NDArray[np.bool_]  # (N,) which states are given; the others wait for their first measurement
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """State names, in order."""
+        return tuple(self.card.states)
+
+
+def compile_plan(config: Config, source: Source) -> Plan:
+    """Resolve names, rows, gates and gains; raises ``ConfigError`` with every problem found."""
+    if config.model.name not in MODEL_NAMES:
+        reason = f"there is no model {config.model.name!r}{did_you_mean(config.model.name, MODEL_NAMES)}"
+        raise source.complain([Problem(("model", "name"), reason)])
+    card = model_card(config.model.name)
+    problems = [*_check_names(config, card)]
+    sensors = [
+        plan_sensor(rank, name, settings, card, problems)
+        for rank, (name, settings) in enumerate(config.sensors.items())
+    ]
+    measured: list[str] = []
+    rows = [_rows(sensor, card, measured) for sensor in sensors]
+    gains = gain_tables(config, card, sensors, rows, problems)
+    if problems:
+        raise source.complain(problems)
+    given = np.array([state in config.initial.state for state in card.states])
+    fed = {seed for sensor_rows in rows for _, seed in sensor_rows}
+    sd = np.array([config.initial.sd.get(state, 1.0) for state in card.states])
+    M = max(sensor.dof for sensor in sensors)
+    tables = Tables(
+        M=M,
+        role=np.array([sensor.role for sensor in sensors]),
+        rows=np.array([sensor.dof for sensor in sensors]),
+        what=_table([[what for what, _ in r] for r in rows], M, np.int64),
+        seed=_table([[seed for _, seed in r] for r in rows], M, np.int64),
+        angle=_table([sensor.angles for sensor in sensors], M, np.uint8),
+        threshold=np.array([_threshold(sensor) for sensor in sensors]),
+        sensor=np.array([_place(sensor, config) for sensor in sensors]).ravel(),
+        q=np.array([config.model.process_noise.get(name, default) for name, default in card.noise.items()]),
+        window_ns=round(config.lag.window * 1e9),
+        **gains,
+    )
+    return Plan(
+        config=config,
+        source=source,
+        card=card,
+        sensors=tuple(sensors),
+        measured=tuple(measured),
+        tables=tables,
+        x=np.array([config.initial.state.get(state, 0.0) for state in card.states]),
+        P=np.diag(sd**2),
+        known=given | np.array([index not in fed for index in range(len(card.states))]),
+    )
+
+
+def _check_names(config: Config, card: ModelCard) -> list[Problem]:
+    named: list[tuple[tuple[str, ...], Mapping[str, object], Sequence[str]]] = [
+        (("model", "process_noise"), config.model.process_noise, list(card.noise)),
+        (("initial", "state"), config.initial.state, list(card.states)),
+        (("initial", "sd"), config.initial.sd, list(card.states)),
+        (("gain", "scales"), config.gain.scales, list(card.states)),
+    ]
+    return [
+        Problem((*place, name), f"{card.name} has no {name!r}{did_you_mean(name, known)}")
+        for place, given, known in named
+        for name in given
+        if name not in known
+    ]
+
+
+def _rows(sensor: SensorPlan, card: ModelCard, measured: list[str]) -> list[tuple[int, int]]:
+    """For each number of the sensor: what it measures (a state, or -1 - a quantity), and the state it can give."""
+    states = list(card.states)
+    rows: list[tuple[int, int]] = []
+    for name in sensor.names if sensor.role == Role.MEASURES else ():
+        quantity = _quantity(sensor.settings, name)
+        seed = states.index(name) if sensor.settings.kind == "state" and name in states else -1
+        if quantity is None or quantity not in card.quantities:
+            rows.append((max(seed, 0), seed))
+            continue
+        if quantity not in measured:
+            measured.append(quantity)
+        rows.append((-1 - measured.index(quantity), seed))
+    return rows or [(0, -1)] * sensor.dof
+
+
+def _quantity(settings: SensorSettings, name: str) -> str | None:
+    """The generated quantity that a number is, or None where the number is the state itself."""
+    if settings.kind == "beacon_range":
+        return "beacon_range"
+    if settings.kind == "polar":
+        return name
+    if name in _FORCE and settings.remove_gravity:
+        return _FORCE[name]
+    if settings.mount == "from_tf" or any(settings.mount.xyz):
+        return _AT_LEVER.get(name) or _TWIST.get(name)
+    return None
+
+
+def _threshold(sensor: SensorPlan) -> float:
+    if sensor.settings.gate is None or sensor.role != Role.MEASURES:
+        return np.inf
+    return chi_square_quantile(sensor.settings.gate, sensor.dof)
+
+
+def _place(sensor: SensorPlan, config: Config) -> list[float]:
+    mount = sensor.settings.mount
+    lever = (0.0, 0.0, 0.0) if mount == "from_tf" else mount.xyz
+    return [*lever, config.gravity, *sensor.settings.station]
+
+
+def _table(rows: Sequence[Sequence[int]], width: int, kind: type) -> NDArray[np.generic]:
+    table = np.zeros((len(rows), width), kind)
+    for index, row in enumerate(rows):
+        table[index, : len(row)] = row
+    return table.ravel()

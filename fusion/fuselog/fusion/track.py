@@ -1,0 +1,75 @@
+"""What came out: one row per processed event. Every output and every picture is read from it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuselog.fusion.events import Decision
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Track:
+    """n processed events: the newest estimate after each, and what became of the event.
+
+    Innovations, their variances and ``absorbed`` (the diagonal of H G, the share of each innovation that the
+    estimate took) are NaN where the sensor measures less than M numbers or the sample was not tried.
+    """
+
+    states: tuple[str, ...]  # (N,) names
+    sensors: tuple[str, ...]  # names by rank
+    t_ns: NDArray[np.int64]  # (n,) time of the estimate
+    stamp_ns: NDArray[np.int64]  # (n,) stamp of the sample
+    arrival_ns: NDArray[np.int64]  # (n,) when the sample was received
+    sensor: NDArray[np.int64]  # (n,) rank
+    seq: NDArray[np.int64]  # (n,) how many samples of that sensor came before
+    decision: NDArray[np.uint8]  # (n,) of Decision
+    nis: NDArray[np.float64]  # (n,) NaN where the sample was not tried
+    dof: NDArray[np.int64]  # (n,)
+    x: NDArray[np.float64]  # (n, N)
+    P: NDArray[np.float64]  # (n, N (N + 1) / 2) upper triangle, row by row
+    innovation: NDArray[np.float64]  # (n, M)
+    innovation_variance: NDArray[np.float64]  # (n, M)
+    absorbed: NDArray[np.float64]  # (n, M)
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def __getitem__(self, state: str) -> NDArray[np.float64]:
+        """The estimates (n,) of one state."""
+        return self.x[:, self.states.index(state)]
+
+    def variance(self, state: str) -> NDArray[np.float64]:
+        """The variances (n,) of one state."""
+        return self.P[:, packed_diagonal(len(self.states))[self.states.index(state)]]
+
+    def covariance(self, row: int) -> NDArray[np.float64]:
+        """P (N, N) of one row."""
+        return unpack(self.P[row], len(self.states))
+
+    def of(self, sensor: str, decision: Decision | None = None) -> NDArray[np.int64]:
+        """The rows of one sensor, or those of them with this decision."""
+        mine = self.sensor == self.sensors.index(sensor)
+        return np.flatnonzero(mine if decision is None else mine & (self.decision == decision))
+
+
+def join_tracks(tracks: Sequence[Track]) -> Track:
+    """All rows, one track after the other; they must be of the same filter."""
+    first = tracks[0]
+    columns = [name for name in Track.__slots__ if name not in ("states", "sensors")]
+    joined = {name: np.concatenate([getattr(track, name) for track in tracks]) for name in columns}
+    return Track(states=first.states, sensors=first.sensors, **joined)
+
+
+def packed_diagonal(n: int) -> NDArray[np.int64]:
+    """Where the diagonal of an n x n matrix lies in its upper triangle, row by row."""
+    rows = np.arange(n)
+    return rows * n - rows * (rows - 1) // 2
+
+
+def unpack(packed: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """The symmetric matrix (n, n) of an upper triangle (n (n + 1) / 2,)."""
+    full = np.zeros((n, n))
+    full[np.triu_indices(n)] = packed
+    return full + np.triu(full, 1).T

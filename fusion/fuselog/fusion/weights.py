@@ -1,0 +1,115 @@
+"""Fixed gains from a configuration: Bezmen's weights, checked and turned into tables (reference: Bezmen 2019, eq. 29)."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fuselog.fusion.config import Config, Problem, did_you_mean
+from fuselog.fusion.kernels import ModelCard
+from fuselog.fusion.sensors import SensorPlan
+from fuselog.fusion.tables import Gain, Role
+
+_SLACK = 1e-9  # that a sum of weights may be off by, for 1/3 + 1/3 + 1/3
+
+Row = tuple[int, int]
+
+
+def gain_tables(
+    config: Config,
+    card: ModelCard,
+    sensors: Sequence[SensorPlan],
+    rows: Sequence[Sequence[Row]],
+    problems: list[Problem],
+) -> dict[str, Any]:
+    """The gain fields of ``Tables``; what is wrong with the weights is added to ``problems``."""
+    gain, S = config.gain, len(sensors)
+    M, N = max(sensor.dof for sensor in sensors), len(card.states)
+    policy, weight, table = np.zeros(S, np.int64), np.zeros((S, M)), np.zeros((S, M, N))
+    if gain.mode == "optimal":
+        if gain.weights:
+            problems.append(Problem(("gain", "weights"), "weights need mode: fixed"))
+    elif gain.form == "absorb":
+        policy[:] = Gain.ABSORB
+        for place, index, row, value in _numbers(("gain", "weights"), gain.weights, sensors, problems):
+            weight[index, row] = _share(place, value, problems)
+        _require(sensors, weight.any(axis=1), problems)
+    else:
+        policy[:] = Gain.STATE
+        for state, numbers in gain.weights.items():
+            _fill_state(config, card, state, numbers, sensors, rows, table, problems)
+        _require(sensors, table.any(axis=(1, 2)), problems)
+    scaled = gain.mode == "fixed" and gain.form == "absorb" and gain.reference == "scales"
+    if scaled:
+        missing = [state for state in card.states if state not in gain.scales]
+        if missing:
+            problems.append(Problem(("gain", "scales"), f"reference: scales needs one for {', '.join(missing)}"))
+    scales = np.array([gain.scales.get(state, 1.0) for state in card.states])
+    return {"gain": policy, "weight": weight.ravel(), "table": table.ravel(), "scaled": int(scaled), "scales": scales}
+
+
+def _fill_state(
+    config: Config,
+    card: ModelCard,
+    state: str,
+    numbers: Any,
+    sensors: Sequence[SensorPlan],
+    rows: Sequence[Sequence[Row]],
+    table: Any,
+    problems: list[Problem],
+) -> None:
+    """One row of Bezmen's table: the weights of measured numbers in one state, and what they add up to."""
+    place = ("gain", "weights", state)
+    if state not in card.states:
+        problems.append(Problem(place, f"{card.name} has no state {state!r}{did_you_mean(state, card.states)}"))
+        return
+    if not isinstance(numbers, dict):
+        problems.append(Problem(place, "expected {sensor.number: weight, ...}"))
+        return
+    f, total = list(card.states).index(state), 0.0
+    given: Mapping[str, Any] = numbers
+    for at, index, row, value in _numbers(place, given, sensors, problems):
+        what = rows[index][row][0]
+        if what >= 0 and what != f:
+            problems.append(Problem(at, f"measures {list(card.states)[what]}, not {state}: its weight would do nothing"))
+        table[index, row, f] = _share(at, value, problems)
+        total += table[index, row, f]
+    rule = config.gain.sum
+    if rule == "one" and abs(total - 1) > _SLACK:
+        problems.append(Problem(place, f"weights add up to {total:g}, and sum: one wants 1"))
+    if rule == "at_most_one" and total > 1 + _SLACK:
+        problems.append(Problem(place, f"weights add up to {total:g}, more than 1; sum: free allows it"))
+
+
+def _numbers(
+    place: tuple[str, ...], given: Mapping[str, Any], sensors: Sequence[SensorPlan], problems: list[Problem]
+) -> list[tuple[tuple[str, ...], int, int, Any]]:
+    """Each ``sensor.number: value`` as (place, sensor, row, value)."""
+    known = {
+        f"{sensor.name}.{name}": (index, row)
+        for index, sensor in enumerate(sensors)
+        if sensor.role == Role.MEASURES
+        for row, name in enumerate(sensor.names)
+    }
+    found: list[tuple[tuple[str, ...], int, int, Any]] = []
+    for key, value in given.items():
+        if key in known:
+            found.append(((*place, key), *known[key], value))
+        else:
+            problems.append(Problem((*place, key), f"no such measured number{did_you_mean(key, known)}"))
+    return found
+
+
+def _share(place: tuple[str, ...], value: Any, problems: list[Problem]) -> float:
+    if isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 1:
+        return float(value)
+    problems.append(Problem(place, f"a weight is a number from 0 to 1, got {value!r}"))
+    return 0.0
+
+
+def _require(sensors: Sequence[SensorPlan], weighted: Any, problems: list[Problem]) -> None:
+    """A sensor without any weight would be read and do nothing."""
+    for index, sensor in enumerate(sensors):
+        if sensor.role == Role.MEASURES and not weighted[index]:
+            names = ", ".join(f"{sensor.name}.{name}" for name in sensor.names)
+            problems.append(Problem(("gain", "weights"), f"sensor {sensor.name} has no weight; give one for {names}"))
