@@ -50,6 +50,7 @@ class Engine:
     def advance(self, events: Events) -> Track:
         """Apply the events, in the order given, and return a row for each."""
         n, M, N = events.size, self.plan.tables.M, len(self.plan.states)
+        packed = N * (N + 1) // 2
         rows = _rows(n, N, M, self._kernel.LD)
         samples = Samples(n, *(np.ascontiguousarray(column).reshape(-1) for column in events[:6]))
         done = 0
@@ -67,7 +68,7 @@ class Engine:
             nis=rows.nis,
             dof=rows.dof,
             x=rows.x[: n * N].reshape(n, N),
-            P=rows.P[: n * N * (N + 1) // 2].reshape(n, -1),
+            P=rows.P[: n * packed].reshape(n, packed),
             innovation=rows.nu.reshape(n, M),
             innovation_variance=rows.S.reshape(n, M),
             absorbed=rows.absorbed.reshape(n, M),

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.config import SensorSettings
-from fuselog.fusion.rotations import matrix_from_quaternion, quaternion_from_rpy
+from fuselog.fusion.rotations import matrix_from_quaternion, quaternions_from_rpy
 from fuselog.fusion.stream import Stream
 
 Ints = NDArray[np.int64]
@@ -38,7 +38,7 @@ def configured_mount(sensor: SensorSettings) -> Mount | None:
     """The mount that the configuration gives; None when it is to come from the transforms."""
     if sensor.mount == "from_tf":
         return None
-    return Mount(np.array(sensor.mount.xyz), quaternion_from_rpy(*sensor.mount.rpy))
+    return Mount(np.array(sensor.mount.xyz), quaternions_from_rpy(np.array([sensor.mount.rpy]))[0])
 
 
 @dataclass(slots=True)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.schemas.compiled import inline
+from fuselog.schemas.compiled import inline, kernel
 
 Floats = NDArray[np.float64]
 
@@ -34,19 +34,19 @@ def rpy_from_quaternion(x: float, y: float, z: float, w: float) -> tuple[float, 
     return roll, math.asin(sine), yaw
 
 
-def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Floats:
-    """The quaternion (4,) x y z w of Rz(yaw) Ry(pitch) Rx(roll)."""
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return np.array(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ]
-    )
+@kernel
+def quaternions_from_rpy(rpy: Floats) -> Floats:
+    """The quaternions (n, 4) x y z w of Rz(yaw) Ry(pitch) Rx(roll), for ``rpy`` (n, 3) in rad."""
+    out = np.empty((len(rpy), 4))
+    for n in range(len(rpy)):
+        cr, sr = math.cos(rpy[n, 0] / 2), math.sin(rpy[n, 0] / 2)
+        cp, sp = math.cos(rpy[n, 1] / 2), math.sin(rpy[n, 1] / 2)
+        cy, sy = math.cos(rpy[n, 2] / 2), math.sin(rpy[n, 2] / 2)
+        out[n, 0] = sr * cp * cy - cr * sp * sy
+        out[n, 1] = cr * sp * cy + sr * cp * sy
+        out[n, 2] = cr * cp * sy - sr * sp * cy
+        out[n, 3] = cr * cp * cy + sr * sp * sy
+    return out
 
 
 def matrix_from_quaternion(q: Floats) -> Floats:
@@ -61,4 +61,4 @@ def matrix_from_quaternion(q: Floats) -> Floats:
     )
 
 
-__all__ = ["matrix_from_quaternion", "quaternion_from_rpy", "quaternion_product", "rpy_from_quaternion"]
+__all__ = ["matrix_from_quaternion", "quaternion_product", "quaternions_from_rpy", "rpy_from_quaternion"]

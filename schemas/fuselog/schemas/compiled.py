@@ -25,7 +25,7 @@ def kernel(function: _Kernel) -> _Kernel:
     No fastmath and no contraction: the same input gives the same bytes on every instruction set. What is on
     disk is renewed when the kernel's own module changes, not when one that it calls into does.
     """
-    return cast(_Kernel, numba.njit(cache=True, error_model="numpy")(function))
+    return cast(_Kernel, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 def inline(function: _Kernel) -> _Kernel:

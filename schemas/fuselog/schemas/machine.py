@@ -98,7 +98,7 @@ def _encapsulation(data: NDArray[np.uint8], start: int, length: int) -> int:
 
 
 @inline
-def _message(  # noqa: PLR0917  one flat loop, and what it works on
+def _message(
     program: Program,
     data: NDArray[np.uint8],
     base: int,
@@ -180,7 +180,7 @@ def _aligned(at: int, size: int) -> int:
 
 
 @inline
-def _numbers(  # noqa: PLR0917  as _message
+def _numbers(
     data: NDArray[np.uint8], at: int, kind: int, count: int, values: NDArray[np.float64], swapped: bool
 ) -> None:
     """The ``count`` numbers from ``data[at]`` on, into the first of ``values``."""

@@ -1,0 +1,33 @@
+"""The estimator: events in, track out."""
+
+from fuselog.fusion.config import Config, load_config, parse_config
+from fuselog.fusion.engine import Engine, Estimate, Snapshot
+from fuselog.fusion.events import Decision, Events
+from fuselog.fusion.filter import Filter, Order
+from fuselog.fusion.ledger import Account, Ledger
+from fuselog.fusion.outputs import Output, Outputs
+from fuselog.fusion.plan import Plan, compile_plan
+from fuselog.fusion.stream import Stream
+from fuselog.fusion.track import Track, join_tracks
+
+__all__ = [
+    "Account",
+    "Config",
+    "Decision",
+    "Engine",
+    "Estimate",
+    "Events",
+    "Filter",
+    "Ledger",
+    "Order",
+    "Output",
+    "Outputs",
+    "Plan",
+    "Snapshot",
+    "Stream",
+    "Track",
+    "compile_plan",
+    "join_tracks",
+    "load_config",
+    "parse_config",
+]
