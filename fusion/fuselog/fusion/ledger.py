@@ -1,8 +1,7 @@
 """The ledger: every sample that was received is accounted for, sensor by sensor, exactly."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +49,3 @@ def make_ledger(
         )
         for i, sensor in enumerate(plan.sensors)
     }
-
-
-def ledger_json(ledger: Ledger) -> dict[str, dict[str, Any]]:
-    """The ledger as plain data."""
-    return {name: asdict(account) for name, account in ledger.items()}

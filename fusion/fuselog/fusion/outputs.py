@@ -68,6 +68,10 @@ class Outputs:
             blocks.append(_block(1, rows, *encoder.encode(stamps, values)))
         return _join(blocks, np.where(track.t_ns == NEVER, np.maximum(track.stamp_ns, 0), track.t_ns))
 
+    def estimates(self, encoded: Messages) -> NDArray[np.uint8]:
+        """The bytes of all estimates among the messages of ``encode``, one after the other."""
+        return encoded.data[: int(encoded.length[encoded.stream == 0].sum())]
+
 
 _LAST_STAMP = (1 << 31) * 1_000_000_000 - 1  # the last one that builtin_interfaces/Time can hold
 

@@ -4,6 +4,22 @@ from fuselog.replay.channels import Channel, Schema
 from fuselog.replay.decompress import Limits
 from fuselog.replay.log import Log, RawMessage, open_log
 from fuselog.replay.loss import Loss
+from fuselog.replay.reprocess import Summary, reprocess, reprocess_to
+from fuselog.replay.tracks import TrackWriter, is_output
 from fuselog.replay.writer import LogWriter
 
-__all__ = ["Channel", "Limits", "Log", "LogWriter", "Loss", "RawMessage", "Schema", "open_log"]
+__all__ = [
+    "Channel",
+    "Limits",
+    "Log",
+    "LogWriter",
+    "Loss",
+    "RawMessage",
+    "Schema",
+    "Summary",
+    "TrackWriter",
+    "is_output",
+    "open_log",
+    "reprocess",
+    "reprocess_to",
+]

@@ -95,14 +95,13 @@ class LogWriter:
         the quality of service that ROS 2 players ask for.
         """
         data = schema_text.encode() if isinstance(schema_text, str) else schema_text
-        if metadata is None:
-            is_ros2 = self._profile == "ros2" and encoding == "cdr"
-            metadata = {"offered_qos_profiles": _ROS2_QOS} if is_ros2 else {}
+        is_ros2 = self._profile == "ros2" and encoding == "cdr"
+        standard = {"offered_qos_profiles": _ROS2_QOS} if is_ros2 else {}
         channel = mcap.records.Channel(
             id=len(self._channels) + 1,
             topic=topic,
             message_encoding=encoding,
-            metadata=dict(metadata),
+            metadata=standard | dict(metadata or {}),
             schema_id=self._add_schema(schema_name, schema_encoding, data) if schema_name else 0,
         )
         self._channels.append(channel)

@@ -28,9 +28,10 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A configuration as it was written: its name, and the tree that knows lines and columns."""
+    """A configuration as it was written: its name and text, and the tree that knows lines and columns."""
 
     name: str
+    text: str
     tree: Any
 
     def complain(self, problems: Iterable[Problem]) -> ConfigError:
@@ -70,7 +71,7 @@ def parse_config(text: str, *, name: str = "configuration") -> tuple[Config, Sou
         mark = error.problem_mark
         line, column = (mark.line + 1, mark.column + 1) if mark is not None else (1, 1)
         raise ConfigError([f"{name}:{line}:{column}: {error.problem}"]) from error
-    source = Source(name, tree)
+    source = Source(name, text, tree)
     if not isinstance(tree, CommentedMap):
         raise source.complain([Problem((), "expected keys such as fuselog, model and sensors")])
     try:

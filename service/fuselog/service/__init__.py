@@ -1,0 +1,1 @@
+"""Zenoh, FastAPI, threads and the command line."""

@@ -1,0 +1,62 @@
+"""The command line: one command a file in ``commands``; errors become one line and an exit code here, nowhere else."""
+
+import importlib
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from typing import Annotated, Any
+
+import typer
+
+from fuselog.schemas.errors import ConfigError, FuselogError
+
+OK, FAILED, USAGE, LOSSY, INTERRUPTED = 0, 1, 2, 3, 130
+COMMANDS = ("reprocess",)  # in the order of the help
+
+
+def make_app() -> typer.Typer:
+    """The command line with all commands."""
+    app = typer.Typer(
+        name="fuselog",
+        help="Sensor-log replay and data fusion: the same estimates live on Zenoh and offline on MCAP.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(_root)
+    for name in COMMANDS:
+        command: Callable[..., Any] = getattr(importlib.import_module(f"fuselog.service.commands.{name}"), name)
+        app.command(name.replace("_", "-"))(command)
+    return app
+
+
+def main() -> None:
+    """Run the command line; exit codes: 0 ok, 1 failed, 2 usage or config, 3 finished with data loss, 130 interrupted."""
+    try:
+        make_app()()
+    except ConfigError as error:
+        sys.exit(_report(error, USAGE))
+    except FuselogError as error:
+        sys.exit(_report(error, FAILED))
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+
+
+def _report(error: FuselogError, code: int) -> int:
+    for line in str(error).splitlines():
+        sys.stderr.write(f"error: {line}\n")
+    return code
+
+
+def _print_version(wanted: bool) -> None:  # noqa: FBT001  typer calls it by position
+    if wanted:
+        sys.stdout.write(f"fuselog {version('fuselog')}\n")
+        raise typer.Exit
+
+
+def _root(
+    _version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    pass

@@ -1,0 +1,64 @@
+"""``fuselog reprocess``: a log through a filter, offline."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from fuselog.service.console import print_json, progress, stderr
+
+
+def reprocess(
+    log: Annotated[Path, typer.Argument(help="The MCAP log to fuse.")],
+    config: Annotated[Path, typer.Option("--config", "-c", help="The fusion configuration (YAML).")],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Where to write the track (MCAP).")] = None,
+    order: Annotated[
+        Literal["by_stamp", "as_received"] | None,
+        typer.Option(help="Rows in stamp order (the best estimate), or as the live service publishes them."),
+    ] = None,
+    rrd: Annotated[Path | None, typer.Option(help="Also write a Rerun recording.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Fuse a log as fast as the machine allows; write estimates, odometry and a decision for every sample."""
+    from fuselog.fusion import compile_plan, load_config  # noqa: PLC0415  slow to import
+    from fuselog.replay import open_log, reprocess_to  # noqa: PLC0415  slow to import
+
+    plan = compile_plan(*load_config(config))
+    with open_log(log) as opened, progress("fusing") as advance:
+        summary = reprocess_to(opened, plan, output, order=order, advance=advance)
+    if rrd is not None:
+        from fuselog.service.view import write_recording  # noqa: PLC0415  slow to import
+
+        write_recording(rrd, [log, *([output] if output else [])], config=config)
+    if as_json:
+        print_json(summary.to_json())
+    else:
+        _print(summary.to_json())
+    for loss in summary.losses:
+        stderr.print(f"lost: {log}: byte {loss.offset}: {loss.reason}")
+    if summary.lossy:
+        raise typer.Exit(3)
+
+
+def _print(summary: dict[str, Any]) -> None:
+    rate = summary["messages"] / max(summary["seconds"], 1e-9)
+    typer.echo(f"{summary['messages']} messages in {summary['seconds']:.2f} s ({rate:,.0f}/s)")
+    names = ("received", "fused", "gated", "late", "duplicate")
+    typer.echo(f"{'sensor':16}" + "".join(f"{name:>11}" for name in (*names, "invalid")))
+    for sensor, account in summary["ledger"].items():
+        invalid = sum(account["invalid"].values())
+        typer.echo(f"{sensor:16}" + "".join(f"{account[name]:>11}" for name in names) + f"{invalid:>11}")
+        why = ", ".join(f"{reason} {count}" for reason, count in account["invalid"].items() if count)
+        if why:
+            typer.echo(f"{'':16}  invalid: {why}")
+    final = summary["final"]
+    if final["t_ns"] is None:
+        typer.echo("nothing was fused")
+    else:
+        typer.echo(f"final at {final['t_ns'] / 1e9:.3f} s: " + _state(final["state"]))
+    if summary["output"]:
+        typer.echo(f"wrote {summary['output']}")
+
+
+def _state(state: dict[str, float]) -> str:
+    return "  ".join(f"{name} {value:.4f}" for name, value in state.items())
