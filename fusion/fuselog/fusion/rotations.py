@@ -35,6 +35,16 @@ def rpy_from_quaternion(x: float, y: float, z: float, w: float) -> tuple[float, 
 
 
 @kernel
+def rpy_from_quaternions(quaternions: Floats) -> Floats:
+    """Roll, pitch, yaw (n, 3) in rad of quaternions (n, 4) x y z w."""
+    out = np.empty((len(quaternions), 3))
+    for n in range(len(quaternions)):
+        q = quaternions[n]
+        out[n, 0], out[n, 1], out[n, 2] = rpy_from_quaternion(q[0], q[1], q[2], q[3])
+    return out
+
+
+@kernel
 def quaternions_from_rpy(rpy: Floats) -> Floats:
     """The quaternions (n, 4) x y z w of Rz(yaw) Ry(pitch) Rx(roll), for ``rpy`` (n, 3) in rad."""
     out = np.empty((len(rpy), 4))
@@ -59,6 +69,3 @@ def matrix_from_quaternion(q: Floats) -> Floats:
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-__all__ = ["matrix_from_quaternion", "quaternion_product", "quaternions_from_rpy", "rpy_from_quaternion"]
