@@ -60,10 +60,7 @@ def reprocess(log: Log | str | Path, plan: Plan, *, order: Order | None = None) 
 
 def run(log: Log, filter: Filter) -> Iterator[tuple[int, Track]]:
     """Feed a log to a filter, a chunk at a time; yields (messages fed, rows), the held rows at the end."""
-    inputs = _inputs(log)
-    filter.intake.require({channel.topic: None for channel in inputs})
-    used = {channel.topic for channel in inputs if filter.intake.open(channel.id, stream_of(channel))}
-    for messages in log.batches(used):
+    for messages in log.batches(open_inputs(log, filter)):
         yield len(messages), filter.feed(messages)
     yield 0, filter.finish()
 
@@ -110,6 +107,11 @@ def stream_of(channel: Channel) -> Stream:
     )
 
 
-def _inputs(log: Log) -> list[Channel]:
-    """The channels that are not outputs of an earlier run."""
-    return [channel for channel in log.channels.values() if not is_output(channel)]
+def open_inputs(log: Log, filter: Filter) -> set[str]:
+    """Connect the log's channels, but for outputs of an earlier run, to the filter; returns the topics that it uses.
+
+    Raises ``ConfigError`` for a topic that is not there, or whose messages cannot feed the sensor.
+    """
+    inputs = [channel for channel in log.channels.values() if not is_output(channel)]
+    filter.intake.require({channel.topic: None for channel in inputs})
+    return {channel.topic for channel in inputs if filter.intake.open(channel.id, stream_of(channel))}
