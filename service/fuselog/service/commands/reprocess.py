@@ -11,25 +11,29 @@ from fuselog.service.console import print_json, progress, stderr
 def reprocess(
     log: Annotated[Path, typer.Argument(help="The MCAP log to fuse.")],
     config: Annotated[Path, typer.Option("--config", "-c", help="The fusion configuration (YAML).")],
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Where to write the track (MCAP).")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Where to write the track (MCAP).")
+    ] = None,
     order: Annotated[
         Literal["by_stamp", "as_received"] | None,
         typer.Option(help="Rows in stamp order (the best estimate), or as the live service publishes them."),
     ] = None,
-    rrd: Annotated[Path | None, typer.Option(help="Also write a Rerun recording.")] = None,
+    rrd: Annotated[Path | None, typer.Option(help="Also write a Rerun recording of the output.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Fuse a log as fast as the machine allows; write estimates, odometry and a decision for every sample."""
     from fuselog.fusion import compile_plan, load_config  # noqa: PLC0415  slow to import
     from fuselog.replay import open_log, reprocess_to  # noqa: PLC0415  slow to import
 
+    if rrd is not None and output is None:
+        raise typer.BadParameter("it shows the output: give --output too", param_hint="--rrd")
     plan = compile_plan(*load_config(config))
     with open_log(log) as opened, progress("fusing") as advance:
         summary = reprocess_to(opened, plan, output, order=order, advance=advance)
-    if rrd is not None:
+    if rrd is not None and output is not None:
         from fuselog.service.view import write_recording  # noqa: PLC0415  slow to import
 
-        write_recording(rrd, [log, *([output] if output else [])], config=config)
+        write_recording(rrd, outs=[output], log=log)
     if as_json:
         print_json(summary.to_json())
     else:
