@@ -1,4 +1,4 @@
-"""A batch of events applied in the total order (t_ns, sensor rank, seq), late ones by rewinding. Compiled with ``step``."""
+"""A batch of events in the total order (t_ns, sensor rank, seq), late ones by rewinding; compiled with ``step``."""
 
 from fuselog.fusion.rows import pointers, row_copy
 from fuselog.fusion.step import COVARIANCE, LD, PACKED, ROW, N, step
@@ -14,15 +14,13 @@ def advance(tables: Tables, history: History, work: Work, events: Samples, start
 
     That is the number of events, or less when the history is full and its owner must give it room.
     """
-    return advance_all(
-        pointers(tables), pointers(history), pointers(work), pointers(events), start, pointers(rows)
-    )
+    return advance_all(pointers(tables), pointers(history), pointers(work), pointers(events), start, pointers(rows))
 
 
 @inline
 def advance_all(tables: Tables, history: History, work: Work, events: Samples, start: int, rows: Rows) -> int:
     """``advance`` on bare pointers."""
-    for e in range(start, events.count):
+    for e in range(start, events.size):
         if not make_room(tables, history):
             return e
         sensor, at, decision = events.sensor[e], -1, events.fault[e]
@@ -36,7 +34,7 @@ def advance_all(tables: Tables, history: History, work: Work, events: Samples, s
             decision = history.decision[at]
             forget(tables, history)
         write(tables, history, at, decision, rows, e)
-    return events.count
+    return events.size
 
 
 @inline
@@ -85,10 +83,10 @@ def after(history: History, k: int, t: int, sensor: int, seq: int) -> bool:
 def same(tables: Tables, history: History, k: int, events: Samples, e: int) -> bool:
     """Whether entry k holds the same numbers as sample e."""
     width = tables.M + SAMPLE_WIDTH
+    equal = True
     for i in range(width):
-        if history.z[k * width + i] != events.z[e * width + i]:
-            return False
-    return True
+        equal &= history.z[k * width + i] == events.z[e * width + i]
+    return equal
 
 
 @inline
@@ -121,7 +119,7 @@ def replay(tables: Tables, history: History, work: Work, start: int) -> None:
 
 @inline
 def forget(tables: Tables, history: History) -> None:
-    """Let go of entries that no sample inside the window can come before; the last of them stays as the base."""
+    """Let go of entries that no sample in the window can come before; the last of them stays as the base."""
     oldest = history.cursor[2] - tables.window_ns
     while history.cursor[0] < history.cursor[1] and history.t[history.cursor[0] + 1] < oldest:
         history.cursor[0] += 1

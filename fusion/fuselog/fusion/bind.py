@@ -6,7 +6,7 @@ One kernel does it for any sensor, row by row, so that a batch of one gives the 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from fuselog.schemas.compiled import inline, kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Row = Any  # a row of Floats, inside kernels, where indexing gives a number
 
 VECTOR, ORIENTATION, GEODETIC = int(Shape.VECTOR), int(Shape.ORIENTATION), int(Shape.GEODETIC)
 GOOD, NAN, CLOCK, COVARIANCE = (
@@ -57,7 +58,9 @@ class Binder:
     recipe: Recipe
     needs_datum: bool
 
-    def bind(self, values: Floats, t_ns: Ints, fault: NDArray[np.uint8], mount: Mount, datum: Floats, rows: int) -> tuple[Floats, Floats]:
+    def bind(
+        self, values: Floats, t_ns: Ints, fault: NDArray[np.uint8], mount: Mount, datum: Floats, rows: int
+    ) -> tuple[Floats, Floats]:
         """z (n, rows + SAMPLE_WIDTH) and R (n, rows * rows); marks in ``fault`` the rows that cannot be used."""
         z = np.zeros((len(t_ns), rows + SAMPLE_WIDTH))
         R = np.zeros((len(t_ns), rows * rows))
@@ -109,9 +112,7 @@ def without_noise(sensor: SensorPlan, parts: Sequence[Part]) -> list[str]:
     return [name for name in sensor.names if name not in covered and name not in sensor.settings.noise]
 
 
-def _place_covariance(
-    covariance: Ints, fields: list[str], rows: tuple[Part, int], columns: tuple[Part, int]
-) -> None:
+def _place_covariance(covariance: Ints, fields: list[str], rows: tuple[Part, int], columns: tuple[Part, int]) -> None:
     """Columns for the covariance between two parts, when they stand in the same matrix."""
     (part, at), (other, to) = rows, columns
     a, b = part.covariance, other.covariance
@@ -127,19 +128,21 @@ def _place_covariance(
 @kernel
 def bind_rows(
     recipe: Recipe,
-    values: Floats,
+    values: Row,
     t_ns: Ints,
     fault: NDArray[np.uint8],
     matrix: Floats,
     quaternion: Floats,
     turned: bool,
     datum: Floats,
-    z: Floats,
-    R: Floats,
+    z: Row,
+    R: Row,
 ) -> None:
     """Fill z and R from ``values`` (n, fields); sets the fault of rows that cannot be used."""
     slots, m = len(recipe.covariance), len(recipe.pick)
-    full, C, half = np.zeros(slots), np.zeros((slots, slots)), np.zeros((slots, slots))
+    full: Row = np.zeros(slots)
+    C: Row = np.zeros((slots, slots))
+    half: Row = np.zeros((slots, slots))
     L = np.zeros(m * m)
     undo = (-quaternion[0], -quaternion[1], -quaternion[2], quaternion[3])
     for n in range(len(t_ns)):
@@ -162,7 +165,14 @@ def bind_rows(
 
 @inline
 def read_part(
-    recipe: Recipe, row: Floats, part: int, matrix: Floats, undo: Quaternion, turned: bool, datum: Floats, full: Floats
+    recipe: Recipe,
+    row: Row,
+    part: int,
+    matrix: Row,
+    undo: Quaternion,
+    turned: bool,
+    datum: Row,
+    full: Row,
 ) -> None:
     """The quantities of one part, in body axes."""
     c, s = recipe.column[part], recipe.slot[part]
@@ -184,7 +194,7 @@ def read_part(
 
 
 @inline
-def gather(recipe: Recipe, row: Floats, C: Floats) -> None:
+def gather(recipe: Recipe, row: Row, C: Row) -> None:
     """The covariance of all quantities as the message has it; 0 where it has none."""
     for i in range(len(C)):
         for j in range(len(C)):
@@ -193,7 +203,7 @@ def gather(recipe: Recipe, row: Floats, C: Floats) -> None:
 
 
 @inline
-def turn(recipe: Recipe, C: Floats, half: Floats, matrix: Floats) -> None:
+def turn(recipe: Recipe, C: Row, half: Row, matrix: Row) -> None:
     """C = T C T', where T turns the vectors and attitudes from the sensor's axes to the body's."""
     half[:] = C
     for part in range(len(recipe.shape)):
@@ -228,7 +238,7 @@ def noise(recipe: Recipe, i: int, j: int, entry: float) -> float:
 
 
 @inline
-def judge(t: int, z: Floats, R: Floats, m: int, L: Floats) -> int:
+def judge(t: int, z: Row, R: Row, m: int, L: Row) -> int:
     """Whether a sample can be used: a stamp after 1970, finite numbers, a positive definite covariance."""
     if t <= 0:
         return CLOCK
@@ -239,7 +249,7 @@ def judge(t: int, z: Floats, R: Floats, m: int, L: Floats) -> int:
 
 
 @inline
-def positive_definite(R: Floats, L: Floats, m: int) -> bool:
+def positive_definite(R: Row, L: Row, m: int) -> bool:
     """By the pivots of its Cholesky factor, left in L."""
     for i in range(m):
         for j in range(i + 1):

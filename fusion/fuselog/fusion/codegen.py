@@ -3,6 +3,11 @@
 This is steps 1 and 2 of Bezmen's cycle done by the machine: f and its Jacobian, h and its Jacobian, with common
 subexpressions shared and zeros left out.
 """
+# SymPy is partly typed.
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportOperatorIssue=false
+# pyright: reportUnknownParameterType=false, reportArgumentType=false, reportMissingTypeArgument=false
+# pyright: reportUnknownLambdaType=false, reportConstantRedefinition=false, reportReturnType=false
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -74,10 +79,7 @@ def _predict(model: Model) -> list[str]:
         *_product("w", 0, "s", "a + COVARIANCE", off, n),
         "    transpose(w, LD * LD, w, 0, LD)",
         *_product("s", "b + COVARIANCE", "w", "LD * LD", off, n),
-        *(
-            f"    s[b + COVARIANCE + {i} * LD + {j}] += {_text(value)}"
-            for (i, j), value in zip(Q, noise, strict=True)
-        ),
+        *(f"    s[b + COVARIANCE + {i} * LD + {j}] += {_text(value)}" for (i, j), value in zip(Q, noise, strict=True)),
         *(
             f"    s[b + {i}] = {'wrap(' + _text(value) + ')' if model.angles[i] else _text(value)}"
             for i, value in enumerate(moved)
@@ -103,9 +105,7 @@ def _process_noise(model: Model, after: sp.Matrix) -> dict[tuple[int, int], Expr
     return {(i, j): Q[i, j] for i in range(Q.rows) for j in range(Q.cols) if Q[i, j] != 0}
 
 
-def _product(
-    out: str, to: int | str, source: str, at: int | str, off: Iterable[tuple[int, int]], n: int
-) -> list[str]:
+def _product(out: str, to: int | str, source: str, at: int | str, off: Iterable[tuple[int, int]], n: int) -> list[str]:
     """Lines for out = F source, row by row; a row of F that is a row of the identity is a copy."""
     lines: list[str] = []
     off = list(off)
@@ -160,9 +160,9 @@ def _used(lines: Sequence[str]) -> list[str]:
     for number, line in enumerate(lines):
         name = line.strip().partition(" = ")[0]
         rest = "\n".join(lines[number + 1 :])
-        if not any(read in line for read in (" = s[a + ", " = s[b + INPUT", " = q[")):
-            kept.append(line)
-        elif any(name == word for word in _words(rest)):
+        if not any(read in line for read in (" = s[a + ", " = s[b + INPUT", " = q[")) or any(
+            name == word for word in _words(rest)
+        ):
             kept.append(line)
     return kept
 

@@ -43,16 +43,16 @@ class Events(NamedTuple):
 
     def take(self, index: NDArray[np.int64] | slice) -> "Events":
         """These samples, in this order."""
-        return Events(*(column[index] for column in self))
+        return Events._make(column[index] for column in self)
 
 
 def no_events(rows: int) -> Events:
     """``rows`` is M, the most numbers that one sample of any sensor measures."""
-    integers = [np.empty(0, np.int64) for _ in range(3)]
-    numbers = [np.empty((0, rows + SAMPLE_WIDTH)), np.empty((0, rows * rows))]
-    return Events(*integers, np.empty(0, np.uint8), *numbers, np.empty(0, np.int64))
+    none = np.empty(0, np.int64)
+    z, R = np.empty((0, rows + SAMPLE_WIDTH)), np.empty((0, rows * rows))
+    return Events(none, none, none, np.empty(0, np.uint8), z, R, none)
 
 
 def join(parts: Sequence[Events]) -> Events:
     """The samples of all parts, one part after the other."""
-    return Events(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    return Events._make(np.concatenate(columns) for columns in zip(*parts, strict=True))

@@ -20,7 +20,7 @@ class Filter:
     """One filter fed with raw messages in arrival order.
 
     ``as_received`` gives a row at once for every sample, as the live service publishes it, rewinding for late ones.
-    ``by_stamp`` holds samples for the lag window and gives rows in stamp order. Both end in the same state, bit for bit.
+    ``by_stamp`` holds samples for the lag window and gives rows in stamp order. Both end in the same state, bit by bit.
     """
 
     def __init__(self, plan: Plan, *, order: Order) -> None:

@@ -96,7 +96,10 @@ class Intake:
         """Raise ``ConfigError`` for every sensor whose topic is not among ``available``."""
         names = {same_topic(topic) for topic in available}
         missing = [
-            Problem(("sensors", feed.sensor.name, "topic"), f"no topic {topic!r} there{did_you_mean(topic, available)}")
+            Problem(
+                ("sensors", feed.sensor.name, "topic"),
+                f"no topic {topic!r} there{did_you_mean(topic, available)}",
+            )
             for feed in self._feeds
             if same_topic(topic := feed.sensor.settings.topic) not in names
         ]

@@ -32,9 +32,7 @@ class Account:
 Ledger = dict[str, Account]
 
 
-def make_ledger(
-    plan: Plan, received: Sequence[int], pending: NDArray[np.int64], counts: NDArray[np.int64]
-) -> Ledger:
+def make_ledger(plan: Plan, received: Sequence[int], pending: NDArray[np.int64], counts: NDArray[np.int64]) -> Ledger:
     """The accounts of all sensors, from what came in, what is held, and ``counts`` (S, decisions)."""
     reasons = [d for d in Decision if d.name.startswith("INVALID_")]
     return {

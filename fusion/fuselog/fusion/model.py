@@ -1,4 +1,9 @@
 """What a motion model is: states with units, a transition, its noise, and where the body is, all symbolic."""
+# SymPy is partly typed.
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportOperatorIssue=false
+# pyright: reportUnknownParameterType=false, reportArgumentType=false, reportMissingTypeArgument=false
+# pyright: reportReturnType=false
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,7 +17,7 @@ DT = sp.Symbol("dt", positive=True)  # s, time since the state was last known
 class sinc(sp.Function):  # noqa: N801  a mathematical function keeps its name
     """sin(x)/x, finite at 0; its derivative stays accurate there too."""
 
-    def fdiff(self, argindex: int = 1) -> Expr:
+    def fdiff(self, argindex: int = 1) -> Expr:  # noqa: ARG002  SymPy's protocol
         return dsinc(self.args[0])
 
 

@@ -13,7 +13,11 @@ from fuselog.fusion.tables import NEVER
 from fuselog.fusion.track import Track
 from fuselog.schemas import CdrEncoder, Messages, definition
 
-ESTIMATE, ODOMETRY, DECISION = "fuselog_msgs/msg/Estimate", "nav_msgs/msg/Odometry", "fuselog_msgs/msg/Decision"
+ESTIMATE, ODOMETRY, DECISION = (
+    "fuselog_msgs/msg/Estimate",
+    "nav_msgs/msg/Odometry",
+    "fuselog_msgs/msg/Decision",
+)
 _POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 _TWIST = ("vx", "vy", "vz", "roll_rate", "pitch_rate", "yaw_rate")
 _NAMES_OF = {"vx": ("vx", "v")}  # a planar model's speed is the forward velocity

@@ -140,8 +140,8 @@ def _place(sensor: SensorPlan, config: Config) -> list[float]:
     return [*lever, config.gravity, *sensor.settings.station]
 
 
-def _table(rows: Sequence[Sequence[int]], width: int, kind: type) -> NDArray[np.generic]:
-    table = np.zeros((len(rows), width), kind)
+def _table(rows: Sequence[Sequence[int]], width: int, kind: type[np.generic]) -> NDArray[np.generic]:
+    table: NDArray[np.generic] = np.zeros((len(rows), width), kind)
     for index, row in enumerate(rows):
         table[index, : len(row)] = row
     return table.ravel()

@@ -1,4 +1,8 @@
 """What a sensor can measure besides a state itself: expressions of the body, with the sensor's place in them."""
+# SymPy is partly typed.
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportOperatorIssue=false
+# pyright: reportUnknownParameterType=false, reportArgumentType=false, reportMissingTypeArgument=false
 
 from collections.abc import Mapping
 

@@ -79,9 +79,7 @@ PARTS: Mapping[str, tuple[Part, ...]] = MappingProxyType(
             _vector(_W, "angular_velocity", Covariance("angular_velocity_covariance", 3, 0)),
             _vector(_A, "linear_acceleration", Covariance("linear_acceleration_covariance", 3, 0)),
         ),
-        "sensor_msgs/msg/NavSatFix": (
-            Part(_XYZ, Shape.GEODETIC, _GEODETIC, Covariance("position_covariance", 3, 0)),
-        ),
+        "sensor_msgs/msg/NavSatFix": (Part(_XYZ, Shape.GEODETIC, _GEODETIC, Covariance("position_covariance", 3, 0)),),
         "sensor_msgs/msg/Range": (Part(("range",), Shape.SCALAR, ("range",)),),
     }
 )

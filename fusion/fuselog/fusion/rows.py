@@ -8,19 +8,20 @@ counting references to arrays would cost more than the arithmetic.
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
 # pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportUnknownLambdaType=false
 
-from typing import Any
+from typing import Any, Protocol, TypeVar, cast
 
 from llvmlite import ir  # pyright: ignore[reportMissingTypeStubs]  llvmlite ships no stubs
 from numba import types  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
 from numba.core import cgutils  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
 from numba.extending import intrinsic  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
 
+Floats = Any  # a pointer to float64
+
 _BYTES = 8  # of a float64
 _BLOCK = 4  # rows and columns that are transposed at a time
 
 
-@intrinsic
-def pointers(typing, arrays):  # noqa: ANN001, ANN201, ARG001  numba reads this signature
+def _pointers(typing, arrays):  # noqa: ARG001  numba reads this signature
     """The same named tuple with the data pointer of each array in the array's place; numbers stay."""
     fields = [types.CPointer(t.dtype) if isinstance(t, types.Array) else t for t in arrays.types]
     result = types.NamedTuple(fields, arrays.instance_class)
@@ -59,11 +60,10 @@ def _fixed(width: Any) -> bool:
     return isinstance(width, types.IntegerLiteral)
 
 
-@intrinsic(prefer_literal=True)
-def row_copy(typing, to, at, source, start, width):  # noqa: ANN001, ANN201, ARG001  numba reads this signature
+def _row_copy(typing, to, at, source, start, width):  # noqa: ARG001  numba reads this signature
     """to[at : at + width] = source[start : start + width]."""
 
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         source = _row(builder, arguments[2], arguments[3], width.literal_value)
         target = _row(builder, arguments[0], arguments[1], width.literal_value)
         builder.store(_load(builder, source), target, align=_BYTES)
@@ -72,11 +72,10 @@ def row_copy(typing, to, at, source, start, width):  # noqa: ANN001, ANN201, ARG
     return (types.void(to, types.intp, source, types.intp, width), emit) if _fixed(width) else None
 
 
-@intrinsic(prefer_literal=True)
-def row_scale(typing, to, at, source, start, factor, width):  # noqa: ANN001, ANN201, ARG001  numba reads this signature
+def _row_scale(typing, to, at, source, start, factor, width):  # noqa: ARG001  numba reads this signature
     """to[at : at + width] = factor * source[start : start + width]."""
 
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         lanes = width.literal_value
         row = _load(builder, _row(builder, arguments[2], arguments[3], lanes))
         scaled = builder.fmul(_spread(builder, arguments[4], lanes), row)
@@ -87,11 +86,10 @@ def row_scale(typing, to, at, source, start, factor, width):  # noqa: ANN001, AN
     return (signature, emit) if _fixed(width) else None
 
 
-@intrinsic(prefer_literal=True)
-def row_add(typing, to, at, source, start, factor, width):  # noqa: ANN001, ANN201, ARG001  numba reads this signature
+def _row_add(typing, to, at, source, start, factor, width):  # noqa: ARG001  numba reads this signature
     """to[at : at + width] += factor * source[start : start + width]."""
 
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         lanes = width.literal_value
         row = _load(builder, _row(builder, arguments[2], arguments[3], lanes))
         target = _row(builder, arguments[0], arguments[1], lanes)
@@ -103,17 +101,19 @@ def row_add(typing, to, at, source, start, factor, width):  # noqa: ANN001, ANN2
     return (signature, emit) if _fixed(width) else None
 
 
-@intrinsic(prefer_literal=True)
-def row_take(typing, to, at, source, start, factors, first, stride, count, width):  # noqa: ANN001, ANN201, ARG001  numba reads this signature
+def _row_take(typing, to, at, source, start, factors, first, stride, count, width):  # noqa: ARG001  numba reads this signature
     """to[at : at + width] -= sum over c < count of factors[first + c * stride] * row c from ``start`` of source."""
 
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         to, at, source, start, factors, first, stride, count, _ = arguments
         lanes = width.literal_value
         target = _row(builder, to, at, lanes)
         total = cgutils.alloca_once_value(builder, _load(builder, target))
         with cgutils.for_range(builder, count) as loop:
-            row = _load(builder, _row(builder, source, builder.add(start, builder.mul(loop.index, at.type(lanes))), lanes))
+            row = _load(
+                builder,
+                _row(builder, source, builder.add(start, builder.mul(loop.index, at.type(lanes))), lanes),
+            )
             factor = _load(builder, builder.gep(factors, [builder.add(first, builder.mul(loop.index, stride))]))
             scaled = builder.fmul(_spread(builder, factor, lanes), row)
             builder.store(builder.fsub(builder.load(total), scaled), total)
@@ -125,11 +125,10 @@ def row_take(typing, to, at, source, start, factors, first, stride, count, width
     return (signature, emit) if _fixed(width) else None
 
 
-@intrinsic(prefer_literal=True)
-def transpose(typing, to, at, source, start, width):  # noqa: ANN001, ANN201, ARG001  numba reads this signature
+def _transpose(typing, to, at, source, start, width):  # noqa: ARG001  numba reads this signature
     """The width x width matrix at ``at`` becomes the transpose of the one at ``start``, by 4 x 4 blocks."""
 
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         lanes = width.literal_value
         for i in range(0, lanes, _BLOCK):
             for j in range(0, lanes, _BLOCK):
@@ -147,13 +146,61 @@ def _turn(builder: Any, rows: list[Any]) -> list[Any]:
     """The columns of four vectors of four."""
     mask = ir.VectorType(ir.IntType(32), _BLOCK)
 
-    def pick(a: Any, b: Any, lanes: list[int]) -> Any:
-        return builder.shuffle_vector(a, b, ir.Constant(mask, lanes))
+    def pick(pair: list[Any], lanes: list[int]) -> Any:
+        return builder.shuffle_vector(pair[0], pair[1], ir.Constant(mask, lanes))
 
-    low = [pick(rows[0], rows[1], [0, 4, 2, 6]), pick(rows[2], rows[3], [0, 4, 2, 6])]
-    high = [pick(rows[0], rows[1], [1, 5, 3, 7]), pick(rows[2], rows[3], [1, 5, 3, 7])]
+    low = [pick(pair, [0, 4, 2, 6]) for pair in (rows[:2], rows[2:])]
+    high = [pick(pair, [1, 5, 3, 7]) for pair in (rows[:2], rows[2:])]
     first, second = [0, 1, 4, 5], [2, 3, 6, 7]
-    return [pick(*low, first), pick(*high, first), pick(*low, second), pick(*high, second)]
+    return [pick(low, first), pick(high, first), pick(low, second), pick(high, second)]
 
 
-__all__ = ["pointers", "row_add", "row_copy", "row_scale", "row_take", "transpose"]
+class Copy(Protocol):
+    """to[at : at + width] = source[start : start + width]."""
+
+    def __call__(self, to: Floats, at: int, source: Floats, start: int, width: int) -> None:
+        """``width`` is a constant."""
+
+
+class Scaled(Protocol):
+    """As ``Copy``, the source times ``factor``."""
+
+    def __call__(self, to: Floats, at: int, source: Floats, start: int, factor: float, width: int) -> None:
+        """``width`` is a constant."""
+
+
+class Take(Protocol):
+    """Subtract ``count`` rows of ``source``, each with its own factor."""
+
+    def __call__(
+        self,
+        to: Floats,
+        at: int,
+        source: Floats,
+        start: int,
+        factors: Floats,
+        first: int,
+        stride: int,
+        count: int,
+        width: int,
+    ) -> None:
+        """``width`` is a constant."""
+
+
+_Tuple = TypeVar("_Tuple")
+
+
+class Pointers(Protocol):
+    """The same named tuple with the data pointer of each array in the array's place; numbers stay."""
+
+    def __call__(self, arrays: _Tuple) -> _Tuple:
+        """Inside kernels only."""
+        ...
+
+
+pointers = cast(Pointers, intrinsic(_pointers))
+row_copy = cast(Copy, intrinsic(prefer_literal=True)(_row_copy))
+row_scale = cast(Scaled, intrinsic(prefer_literal=True)(_row_scale))
+row_add = cast(Scaled, intrinsic(prefer_literal=True)(_row_add))
+row_take = cast(Take, intrinsic(prefer_literal=True)(_row_take))
+transpose = cast(Copy, intrinsic(prefer_literal=True)(_transpose))

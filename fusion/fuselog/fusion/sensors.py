@@ -24,9 +24,7 @@ class SensorPlan:
     dof: int
 
 
-def plan_sensor(
-    rank: int, name: str, settings: SensorSettings, card: ModelCard, problems: list[Problem]
-) -> SensorPlan:
+def plan_sensor(rank: int, name: str, settings: SensorSettings, card: ModelCard, problems: list[Problem]) -> SensorPlan:
     """Resolve what the sensor measures; what is wrong with it is added to ``problems``."""
     place = ("sensors", name)
     if settings.kind == "input":

@@ -9,7 +9,7 @@ import math
 from fuselog.fusion.blank import ANGLES, LD, WIDTH, N, U, observe, predict
 from fuselog.fusion.rows import row_add, row_copy, row_scale, row_take, transpose
 from fuselog.fusion.scalars import wrap
-from fuselog.fusion.tables import NEVER, Floats, History, Ints, Tables, Work
+from fuselog.fusion.tables import NEVER, Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
 
 COVARIANCE = LD  # a row of state: x and P padded with zeros to LD, input and its noise, which states are known
@@ -114,7 +114,16 @@ def measure(tables: Tables, history: History, work: Work, k: int, sensor: int, i
     if what < 0:
         sample = k * (M + 3) + M
         h, work.hn[at] = observe(
-            -1 - what, history.state, k * ROW, tables.sensor, sensor * 7, history.z, sample, work.hv, work.hi, at * WIDTH
+            -1 - what,
+            history.state,
+            k * ROW,
+            tables.sensor,
+            sensor * 7,
+            history.z,
+            sample,
+            work.hv,
+            work.hi,
+            at * WIDTH,
         )
         return h
     work.hi[at * WIDTH] = what

@@ -1,19 +1,19 @@
 """A configuration and a filter's memory as plain arrays: all that a kernel sees of either."""
 
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 NEVER = np.iinfo(np.int64).min  # the time of a filter that has seen nothing
 
 DECISIONS = 10  # kinds of ``Decision``
 SAMPLE_WIDTH = 3  # numbers that come with a sample besides what was measured: the position of a beacon
 
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
+# A flat array outside of a kernel, a bare pointer inside; no one type describes both.
+Ints = Any  # of int64
+Floats = Any  # of float64
+Bytes = Any  # of uint8
 
 
 class Role(IntEnum):
@@ -81,7 +81,7 @@ class History(NamedTuple):
 class Samples(NamedTuple):
     """``Events`` as a kernel takes them; flat arrays."""
 
-    count: int
+    size: int  # n
     t_ns: Ints  # (n,)
     sensor: Ints  # (n,)
     seq: Ints  # (n,)

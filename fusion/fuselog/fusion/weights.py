@@ -1,7 +1,7 @@
-"""Fixed gains from a configuration: Bezmen's weights, checked and turned into tables (reference: Bezmen 2019, eq. 29)."""
+"""Fixed gains from a configuration: Bezmen's weights, checked and turned into tables (Bezmen 2019, eq. 29)."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -45,7 +45,13 @@ def gain_tables(
         if missing:
             problems.append(Problem(("gain", "scales"), f"reference: scales needs one for {', '.join(missing)}"))
     scales = np.array([gain.scales.get(state, 1.0) for state in card.states])
-    return {"gain": policy, "weight": weight.ravel(), "table": table.ravel(), "scaled": int(scaled), "scales": scales}
+    return {
+        "gain": policy,
+        "weight": weight.ravel(),
+        "table": table.ravel(),
+        "scaled": int(scaled),
+        "scales": scales,
+    }
 
 
 def _fill_state(
@@ -67,11 +73,13 @@ def _fill_state(
         problems.append(Problem(place, "expected {sensor.number: weight, ...}"))
         return
     f, total = list(card.states).index(state), 0.0
-    given: Mapping[str, Any] = numbers
+    given = cast(Mapping[str, Any], numbers)
     for at, index, row, value in _numbers(place, given, sensors, problems):
         what = rows[index][row][0]
         if what >= 0 and what != f:
-            problems.append(Problem(at, f"measures {list(card.states)[what]}, not {state}: its weight would do nothing"))
+            problems.append(
+                Problem(at, f"measures {list(card.states)[what]}, not {state}: its weight would do nothing")
+            )
         table[index, row, f] = _share(at, value, problems)
         total += table[index, row, f]
     rule = config.gain.sum

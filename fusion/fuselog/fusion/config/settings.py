@@ -100,7 +100,7 @@ class SensorSettings(Settings):
     gate: Annotated[float, Field(gt=0, lt=1)] | None = Field(
         None, description="probability that a good sample passes (chi-square by its degrees of freedom)"
     )
-    mount: MountSettings | Literal["from_tf"] = MountSettings()
+    mount: MountSettings | Literal["from_tf"] = MountSettings.model_validate({})
     frame: str | None = Field(None, description="from_tf: the sensor's frame; by default as the message says")
     hold: Literal["next", "previous"] = Field("next", description="input: holds after its stamp, or up to it")
     remove_gravity: bool = Field(True, description="accelerations are specific force, as an IMU gives")

@@ -1,4 +1,6 @@
 """A YAML file that remembers where each key stands, so that every problem can be pointed at."""
+# ruamel.yaml is partly typed.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -44,12 +46,12 @@ class Source:
         node, line, column = self.tree, 1, 1
         for key in place:
             if isinstance(node, CommentedMap) and key in node:
-                line, column = (int(n) + 1 for n in node.lc.key(key))  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType, reportUnknownArgumentType]  ruamel.yaml is partly typed
+                line, column = (int(n) + 1 for n in node.lc.key(key))
             elif isinstance(node, CommentedSeq) and isinstance(key, int) and key < len(node):
-                line, column = (int(n) + 1 for n in node.lc.item(key))  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType, reportUnknownArgumentType]  the same
+                line, column = (int(n) + 1 for n in node.lc.item(key))
             else:
                 break
-            node = node[key]  # pyright: ignore[reportUnknownVariableType]  the same
+            node = node[key]
         return line, column
 
 
@@ -66,7 +68,7 @@ def load_config(path: str | Path) -> tuple[Config, Source]:
 def parse_config(text: str, *, name: str = "configuration") -> tuple[Config, Source]:
     """The same for a text that is already here."""
     try:
-        tree: Any = YAML().load(text)  # pyright: ignore[reportUnknownMemberType]  ruamel.yaml is partly typed
+        tree: Any = YAML().load(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark
         line, column = (mark.line + 1, mark.column + 1) if mark is not None else (1, 1)
@@ -119,13 +121,14 @@ def _is_settings(kind: Any) -> bool:
 def _plain(node: Any) -> Any:
     """The tree without ruamel's types, which pydantic takes for objects."""
     if isinstance(node, CommentedMap):
-        return {str(key): _plain(value) for key, value in node.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType, reportUnknownMemberType]  ruamel.yaml is partly typed
+        return {str(key): _plain(value) for key, value in node.items()}
     if isinstance(node, CommentedSeq):
-        return [_plain(value) for value in node]  # pyright: ignore[reportUnknownVariableType]  the same
+        return [_plain(value) for value in node]
     if isinstance(node, bool):
         return bool(node)
-    if isinstance(node, int | float | str):
-        return next(kind(node) for kind in (int, float, str) if isinstance(node, kind))
+    for kind in (int, float, str):
+        if isinstance(node, kind):
+            return kind(node)
     return node
 
 

@@ -1,4 +1,8 @@
 """A point in the plane that keeps its velocity but for white acceleration noise."""
+# SymPy is partly typed.
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportOperatorIssue=false
+# pyright: reportUnknownParameterType=false, reportArgumentType=false, reportMissingTypeArgument=false
 
 import sympy as sp
 

@@ -1,4 +1,8 @@
 """The 15-state omnidirectional model of robot_localization: pose in the world, twist and acceleration in the body."""
+# SymPy is partly typed.
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportOperatorIssue=false
+# pyright: reportUnknownParameterType=false, reportArgumentType=false, reportMissingTypeArgument=false
 
 from collections.abc import Sequence
 

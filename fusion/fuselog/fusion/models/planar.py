@@ -1,4 +1,8 @@
 """Robots that roll in the plane: the exact arc over dt, finite when they go straight."""
+# SymPy is partly typed.
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
+# pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportOperatorIssue=false
+# pyright: reportUnknownParameterType=false, reportArgumentType=false, reportMissingTypeArgument=false
 
 import sympy as sp
 
@@ -9,7 +13,11 @@ def _arc(x: Expr, y: Expr, yaw: Expr, v: Expr, yaw_rate: Expr) -> dict[str, Expr
     """Pose after dt at constant speed and turn rate: the chord of the arc, length v dt sinc(turn/2)."""
     half_turn = yaw_rate * DT / 2
     chord = v * DT * sinc(half_turn)
-    return {"x": x + chord * sp.cos(yaw + half_turn), "y": y + chord * sp.sin(yaw + half_turn), "yaw": yaw + yaw_rate * DT}
+    return {
+        "x": x + chord * sp.cos(yaw + half_turn),
+        "y": y + chord * sp.sin(yaw + half_turn),
+        "yaw": yaw + yaw_rate * DT,
+    }
 
 
 def _body(x: Expr, y: Expr, yaw: Expr, v: Expr, yaw_rate: Expr) -> Body:

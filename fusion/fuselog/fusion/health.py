@@ -1,0 +1,252 @@
+"""Health: what is wrong with a filter and why, as a pure function of its counters and the last rows of its track."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuselog.fusion.engine import Estimate
+from fuselog.fusion.events import Decision
+from fuselog.fusion.gate import chi_square_quantile
+from fuselog.fusion.ledger import Account, Ledger
+from fuselog.fusion.plan import Plan
+from fuselog.fusion.sensors import SensorPlan
+from fuselog.fusion.stream import same_topic
+from fuselog.fusion.track import Track
+
+Status = Literal["ok", "degraded", "waiting"]
+
+_REMEMBERED = 200  # samples of each sensor that health looks back on
+_FEWEST = 20  # samples before a statistic is judged
+_MOST_ABOVE = 0.2  # share of NIS above the 95 % quantile that is still called noise
+_MOST_LATE = 0.05  # share of late samples
+_SILENT_PERIODS = 10.0  # of a sensor's own period
+_SILENT_LEAST_S = 1.0
+
+
+class Window(NamedTuple):
+    """The last samples of one sensor, in the order of their rows."""
+
+    stamp_ns: NDArray[np.int64]
+    decision: NDArray[np.uint8]
+    nis: NDArray[np.float64]  # NaN where the sample was not tried
+    dof: NDArray[np.int64]
+
+
+Recent = tuple[Window, ...]  # by rank
+
+
+class Losses(NamedTuple):
+    """What was lost of a topic before the filter saw it, and why its type is unknown if it is."""
+
+    shed: int = 0  # the queue was full
+    missed: int = 0  # gaps in the publisher's numbering
+    unknown: int = 0  # of a type that cannot be used
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NisHealth:
+    """The NIS of the last samples that were tried; 5 % are outside of the 95 % band when all is well."""
+
+    tried: int
+    mean: float
+    dof: float
+    outside_95: float  # share outside of the two-sided band
+    above_95: float  # share above the one-sided quantile
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorHealth:
+    """One sensor. A statistic that could not be looked at is None, which is not a failure."""
+
+    topic: str
+    status: Status
+    reasons: tuple[str, ...]
+    notes: tuple[str, ...]
+    account: Account
+    losses: Losses
+    nis: NisHealth | None
+    last_stamp_ns: int | None
+    period_s: float | None
+    age_s: float | None  # of the last sample when the filter was at its newest time
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Health:
+    """A filter: degraded when anything is wrong, waiting when something has not begun, else ok."""
+
+    status: Status
+    reasons: tuple[str, ...]
+    t_ns: int | None
+    finite: bool
+    positive: bool  # the covariance is positive semi-definite
+    sensors: dict[str, SensorHealth]
+
+
+def no_samples(plan: Plan) -> Recent:
+    """The memory of a filter that has seen nothing."""
+    empty = Window(np.empty(0, np.int64), np.empty(0, np.uint8), np.empty(0), np.empty(0, np.int64))
+    return (empty,) * len(plan.sensors)
+
+
+def remember(recent: Recent, track: Track) -> Recent:
+    """The memory after the rows of ``track``."""
+    return tuple(_remember(window, track, rank) for rank, window in enumerate(recent))
+
+
+def assess(
+    plan: Plan, *, estimate: Estimate, ledger: Ledger, recent: Recent, losses: Mapping[str, Losses]
+) -> Health:
+    """The health of a filter; ``losses`` by topic, without the slash in front."""
+    sensors = {
+        sensor.name: _sensor(
+            sensor,
+            ledger[sensor.name],
+            recent[sensor.rank],
+            losses.get(same_topic(sensor.settings.topic), Losses()),
+            estimate.t_ns,
+        )
+        for sensor in plan.sensors
+    }
+    finite = bool(np.isfinite(estimate.x).all() and np.isfinite(estimate.P).all())
+    positive = finite and _positive(estimate.P)
+    own = [] if finite else ["the state is not finite"]
+    own += [] if positive else ["the covariance is not positive semi-definite"]
+    wrong = [f"{name}: {reason}" for name, s in sensors.items() if s.status == "degraded" for reason in s.reasons]
+    waits = [f"{name}: {reason}" for name, s in sensors.items() if s.status == "waiting" for reason in s.reasons]
+    return Health(
+        status="degraded" if own or wrong else "waiting" if waits or estimate.t_ns is None else "ok",
+        reasons=(*own, *wrong, *waits),
+        t_ns=estimate.t_ns,
+        finite=finite,
+        positive=positive,
+        sensors=sensors,
+    )
+
+
+def _remember(window: Window, track: Track, rank: int) -> Window:
+    mine = np.flatnonzero(track.sensor == rank)[-_REMEMBERED:]
+    if not len(mine):
+        return window
+    kept = slice(max(len(window.nis) + len(mine) - _REMEMBERED, 0), None)
+    new = (track.stamp_ns[mine], track.decision[mine], track.nis[mine], track.dof[mine])
+    return Window(*(np.concatenate([old, more])[kept] for old, more in zip(window, new, strict=True)))
+
+
+def _sensor(
+    sensor: SensorPlan, account: Account, window: Window, losses: Losses, now_ns: int | None
+) -> SensorHealth:
+    valid = window.stamp_ns[window.decision < Decision.INVALID_NAN]
+    last = int(valid.max()) if len(valid) else None
+    period = _period(valid)
+    age = None if last is None or now_ns is None else (now_ns - last) / 1e9
+    nis = _nis(window)
+    wrong = [
+        *_lost(account, losses),
+        *_refused(window),
+        *_inconsistent(nis),
+        *_silent(age, period),
+    ]
+    waits = [] if account.received or wrong else [f"no sample on {sensor.settings.topic} yet"]
+    waits += [f"{account.pending} samples wait for the mount from /tf_static"] if account.pending else []
+    return SensorHealth(
+        topic=sensor.settings.topic,
+        status="degraded" if wrong else "waiting" if waits else "ok",
+        reasons=tuple(wrong or waits),
+        notes=tuple(_idle_gate(sensor, account)),
+        account=account,
+        losses=losses,
+        nis=nis,
+        last_stamp_ns=last,
+        period_s=period,
+        age_s=age,
+    )
+
+
+def _lost(account: Account, losses: Losses) -> list[str]:
+    reasons = [] if account.balanced else ["the ledger does not balance"]
+    reasons += [f"{losses.unknown} samples of unusable type: {losses.reason}"] if losses.unknown else []
+    reasons += [f"{losses.shed} samples shed: the filter cannot keep up"] if losses.shed else []
+    reasons += [f"{losses.missed} samples missed on the way here"] if losses.missed else []
+    return reasons
+
+
+def _refused(window: Window) -> list[str]:
+    """Samples of late that the filter could not use."""
+    n = len(window.decision)
+    if not n:
+        return []
+    reasons: list[str] = []
+    for decision in Decision:
+        share = float(np.mean(window.decision == decision))
+        if decision >= Decision.INVALID_NAN and share:
+            kind = decision.name.removeprefix("INVALID_").lower()
+            reasons.append(f"invalid ({kind}): {share:.0%} of the last {n} samples")
+    late = float(np.mean(window.decision == Decision.LATE))
+    if n >= _FEWEST and late > _MOST_LATE:
+        reasons.append(f"late: {late:.0%} of the last {n} samples are older than lag.window")
+    tried = window.decision[window.decision <= Decision.GATED]
+    if len(tried) >= _FEWEST and np.all(tried[-_FEWEST:] == Decision.GATED):
+        reasons.append("the gate refuses every sample")
+    return reasons
+
+
+def _inconsistent(nis: NisHealth | None) -> list[str]:
+    if nis is None or nis.tried < _FEWEST or nis.above_95 <= _MOST_ABOVE:
+        return []
+    ratio = nis.mean / nis.dof
+    return [
+        f"NIS is {ratio:.1f} times its degrees of freedom, {nis.above_95:.0%} above the 95 % quantile: "
+        "noise too small, a scale or mounting error, or the wrong model"
+    ]
+
+
+def _silent(age_s: float | None, period_s: float | None) -> list[str]:
+    if age_s is None or period_s is None or age_s <= max(_SILENT_LEAST_S, _SILENT_PERIODS * period_s):
+        return []
+    return [f"silent for {age_s:.1f} s, it used to come every {period_s:.3g} s"]
+
+
+def _idle_gate(sensor: SensorPlan, account: Account) -> list[str]:
+    """A gate that should have fired by chance alone, and never did."""
+    expected = (1 - (sensor.settings.gate or 1.0)) * account.fused
+    if account.gated or expected < 10:
+        return []
+    return [f"the gate never fired in {account.fused} samples, {expected:.0f} were to be expected: noise too large?"]
+
+
+def _nis(window: Window) -> NisHealth | None:
+    tried = np.flatnonzero(np.isfinite(window.nis) & (window.dof > 0))
+    if not len(tried):
+        return None
+    nis, dof = window.nis[tried], window.dof[tried]
+    above, outside = np.zeros(len(tried), bool), np.zeros(len(tried), bool)
+    for m in np.unique(dof).tolist():
+        mine = dof == m
+        above[mine] = nis[mine] > chi_square_quantile(0.95, m)
+        low, high = chi_square_quantile(0.025, m), chi_square_quantile(0.975, m)
+        outside[mine] = (nis[mine] < low) | (nis[mine] > high)
+    return NisHealth(
+        tried=len(tried),
+        mean=float(nis.mean()),
+        dof=float(dof.mean()),
+        outside_95=float(outside.mean()),
+        above_95=float(above.mean()),
+    )
+
+
+def _period(stamps: NDArray[np.int64]) -> float | None:
+    steps = np.diff(np.unique(stamps))
+    return float(np.median(steps)) / 1e9 if len(steps) >= 2 else None
+
+
+def _positive(P: NDArray[np.float64]) -> bool:
+    """Whether P is positive semi-definite, judged on its correlations so that units do not matter."""
+    variances = np.diag(P)
+    if np.any(variances < 0):
+        return False
+    sd = np.where(variances > 0, np.sqrt(np.abs(variances)), 1.0)
+    return bool(np.linalg.eigvalsh(P / np.outer(sd, sd))[0] > -1e-9)
