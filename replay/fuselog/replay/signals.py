@@ -13,7 +13,7 @@ from fuselog.schemas import CdrEncoder, Messages, definition
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signal:
-    """n messages of one topic: ``values`` (n, width) go to ``columns``, and each arrives ``latency_ns`` after its stamp."""
+    """n messages of one topic: ``values`` go to ``columns``, and each arrives ``latency_ns`` after its stamp."""
 
     topic: str
     schema_name: str
@@ -31,9 +31,7 @@ def write_signals(path: str | PathLike[str], signals: Sequence[Signal]) -> int:
             writer.add_channel(signal.topic, signal.schema_name, "ros2msg", definition(signal.schema_name))
             for signal in signals
         ]
-        messages = _by_arrival(
-            [_messages(signal, stream) for signal, stream in zip(signals, streams, strict=True)]
-        )
+        messages = _by_arrival([_messages(signal, stream) for signal, stream in zip(signals, streams, strict=True)])
         writer.write(messages)
     return len(messages)
 
@@ -66,9 +64,7 @@ def _by_arrival(parts: Sequence[Messages]) -> Messages:
     return Messages(
         stream=np.concatenate([part.stream for part in parts])[order],
         data=np.concatenate([part.data for part in parts]),
-        start=np.concatenate([part.start + begin for part, begin in zip(parts, begins[:-1], strict=True)])[
-            order
-        ],
+        start=np.concatenate([part.start + begin for part, begin in zip(parts, begins[:-1], strict=True)])[order],
         length=np.concatenate([part.length for part in parts])[order],
         log_time=log_time[order],
         publish_time=np.concatenate([part.publish_time for part in parts])[order],

@@ -1,4 +1,4 @@
-"""A differential-drive robot along a wall: an ultrasonic sensor in front, a gyro, noisy wheels (Kiselev 2020, 2.1-3.3)."""
+"""A differential-drive robot along a wall: ultrasonic sensor in front, gyro, noisy wheels (Kiselev 2020, 2.1-3.3)."""
 
 from dataclasses import dataclass
 
@@ -42,7 +42,7 @@ class Drive:
 def drive(robot: WallRobot, noise: np.random.Generator) -> Drive:
     """The true drive: exact arcs, steered towards the wanted distance by the heading law yaw = -atan(offset / L)."""
     n = round(robot.duration / robot.period)
-    t = np.arange(n + 1) * robot.period
+    t = np.arange(n + 1, dtype=np.float64) * robot.period
     wish = robot.distance + robot.wander * np.sin(2 * np.pi * t / 14) * np.cos(2 * np.pi * t / 37)
     slip = robot.slip * np.sqrt(robot.period) * noise.standard_normal(n)
     pose, twist = np.zeros((n + 1, 3)), np.zeros((n, 2))
@@ -69,7 +69,8 @@ def wall_signals(robot: WallRobot, noise: np.random.Generator) -> list[Signal]:
     """What the robot's sensors say of a drive, and the truth.
 
     ``/wheel/twist`` the mean twist up to its stamp, ``/wall/range`` u = y + boom sin(yaw) + eta,
-    ``/gyro/attitude`` beta = yaw + theta, ``/ground_truth``. Ranges arrive 80 ms late, after younger samples of the others.
+    ``/gyro/attitude`` beta = yaw + theta, ``/ground_truth``. Ranges arrive 80 ms after their stamps, so that younger
+    samples of the others come before them.
     """
     true = drive(robot, noise)
     t_ns = _START_NS + np.rint(true.t * 1e9).astype(np.int64)

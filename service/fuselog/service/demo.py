@@ -9,29 +9,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion import compile_plan, load_config
-from fuselog.fusion.track import unpack
+from fuselog.fusion import Plan, compile_plan, load_config
 from fuselog.replay import open_log, reprocess_to
+from fuselog.replay.evaluate import Evaluation, evaluate
+from fuselog.replay.measured import Measured, read_measured
+from fuselog.replay.results import read_results
 from fuselog.replay.simulate import simulate
+from fuselog.replay.truth import Truth, read_truth
 from fuselog.replay.wall_robot import arc
-from fuselog.service.runs import Run, Series, load_measured, load_run, load_truth
 from fuselog.service.view import write_recording
 
 Floats = NDArray[np.float64]
 Step = Callable[[float, float], None]
+Errors = dict[str, float | None]  # by state, None where a method does not give it
 
 WAYS = ("optimal", "fixed")  # to fuse; each has its configuration
-COMPARED = ("y", "yaw")  # m, rad: what the sensors measure
+COMPARED = ("y", "yaw")  # what the sensors measure, m and rad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demo:
-    """Errors against the truth, how consistent each filter is, and the files left behind."""
+    """Errors against the truth by method, how consistent each filter is, and the files left behind."""
 
     seed: int
-    rmse: dict[str, dict[str, float | None]]  # by method, then state; None where the method does not give it
-    nees: dict[str, float]  # by way to fuse: mean over the states compared, which should be their count
-    nis: dict[str, dict[str, float]]  # by way and sensor: mean, which should be 1
+    rmse: dict[str, Errors]
+    evaluation: dict[str, dict[str, Any]]  # by way to fuse, as of fuselog evaluate
     files: list[str]
     next: str  # the command to try
 
@@ -41,78 +43,68 @@ class Demo:
 
 
 def run_demo(folder: Path, *, seed: int, duration: float, step: Step) -> Demo:
-    """Simulate, fuse, compare and draw; everything is left in ``folder``. Raises ``FuselogError`` or ``OSError``."""
+    """Simulate, fuse, compare, draw; all is left in ``folder``. Raises ``FuselogError`` or ``OSError``."""
     folder.mkdir(parents=True, exist_ok=True)
     log, recording = folder / "wall.mcap", folder / "demo.rrd"
     configs = {way: folder / f"{way}.yaml" for way in WAYS}
     outs = {way: folder / f"{way}.mcap" for way in WAYS}
     simulate("wall", log, seed=seed, duration=duration)
-    step(1, 5)
-    for done, way in enumerate(WAYS, start=2):
-        configs[way].write_bytes((files("fuselog.service") / "demo_configs" / f"{way}.yaml").read_bytes())
-        plan = compile_plan(*load_config(configs[way]))
-        with open_log(log) as opened:
-            reprocess_to(opened, plan, outs[way])
-        step(done, 5)
-    runs = {way: load_run(out) for way, out in outs.items()}
+    step(1, 4)
+    plans = {way: _fuse(log, configs[way], outs[way]) for way in WAYS}
+    step(2, 4)
     with open_log(log) as opened:
-        measured = load_measured(opened, runs["optimal"].plan)
-        true = load_truth(opened, runs["optimal"], "/ground_truth")
-    assert true is not None
-    step(4, 5)
+        measured = read_measured(opened, plans["optimal"])
+        true = read_truth(opened, "/ground_truth")
+    evaluations = {way: evaluate(read_results(outs[way]), _only_compared(true)) for way in WAYS}
+    step(3, 4)
     write_recording(recording, outs=list(outs.values()), log=log)
-    step(5, 5)
+    step(4, 4)
     return Demo(
         seed=seed,
-        rmse=_errors(measured, runs, true),
-        nees={way: _nees(run, true) for way, run in runs.items()},
-        nis={way: {d.sensor: float(np.nanmean(d.nis)) for d in run.decisions} for way, run in runs.items()},
+        rmse=_errors(measured, true, evaluations),
+        evaluation={way: evaluation.to_json() for way, evaluation in evaluations.items()},
         files=[str(path) for path in (log, *configs.values(), *outs.values(), recording)],
         next=f"fuselog view {outs['optimal']} {outs['fixed']} --log {log}",
     )
 
 
-def _errors(
-    measured: dict[str, Series], runs: dict[str, Run], true: Series
-) -> dict[str, dict[str, float | None]]:
-    fused = {f"fused, {way}": _rmse(run.states, true) for way, run in runs.items()}
+def _fuse(log: Path, config: Path, out: Path) -> Plan:
+    config.write_bytes((files("fuselog.service") / "demo_configs" / config.name).read_bytes())
+    plan = compile_plan(*load_config(config))
+    with open_log(log) as opened:
+        reprocess_to(opened, plan, out)
+    return plan
+
+
+def _only_compared(true: Truth) -> Truth:
+    return Truth(true.t_ns, {name: true.values[name] for name in COMPARED})
+
+
+def _errors(measured: dict[str, Measured], true: Truth, evaluations: dict[str, Evaluation]) -> dict[str, Errors]:
     return {
         "ultrasonic alone": _rmse(measured["wall"], true),
         "gyro alone": _rmse(measured["gyro"], true),
-        "dead reckoning": _rmse(_dead_reckoning(measured["wheels"], true), true),
-        **fused,
+        "wheels alone": _rmse(_dead_reckoning(measured["wheels"], true), true),
+        **{f"fused, {way}": dict(evaluation.rmse) for way, evaluation in evaluations.items()},
     }
 
 
-def _dead_reckoning(wheels: Series, true: Series) -> Series:
-    """What the wheels say, from the true start."""
+def _dead_reckoning(wheels: Measured, true: Truth) -> Measured:
+    """Where the wheels lead from the true start."""
     t_ns = np.concatenate([true.t_ns[:1], wheels.t_ns])
+    twist = np.stack([wheels.values["v"], wheels.values["yaw_rate"]], axis=1)
     pose = np.empty((len(t_ns), 3))
-    pose[0] = [true[name][0] for name in ("x", "y", "yaw")]
-    for i, dt in enumerate(np.diff(t_ns) / 1e9):
-        pose[i + 1] = arc(pose[i], wheels.values[i], float(dt))
-    return Series(names=("x", "y", "yaw"), t_ns=t_ns, values=pose)
+    pose[0] = [true.values[name][0] for name in ("x", "y", "yaw")]
+    for i, dt_ns in enumerate(np.diff(t_ns).tolist()):
+        pose[i + 1] = arc(pose[i], twist[i], dt_ns * 1e-9)
+    return Measured(t_ns, {"x": pose[:, 0], "y": pose[:, 1], "yaw": pose[:, 2]})
 
 
-def _rmse(found: Series, true: Series) -> dict[str, float | None]:
-    errors = {name: _errors_of(found, true, name) for name in COMPARED if name in found.names}
-    return {name: float(np.sqrt(np.mean(errors[name] ** 2))) if name in errors else None for name in COMPARED}
-
-
-def _errors_of(found: Series, true: Series, name: str) -> Floats:
-    """Errors of one state at the true stamps: the newest number at each, none before the first."""
-    error = found[name][_newest(found, true)] - true[name][true.t_ns >= found.t_ns[0]]
-    return (error + np.pi) % (2 * np.pi) - np.pi if name == "yaw" else error
-
-
-def _nees(run: Run, true: Series) -> float:
-    """Mean of e' inv(P) e over the states compared."""
-    error = np.stack([_errors_of(run.states, true, name) for name in COMPARED], axis=1)
-    at = [run.plan.states.index(name) for name in COMPARED]
-    P = np.stack([unpack(row, len(run.plan.states)) for row in run.covariance[_newest(run.states, true)]])
-    return float(np.mean(np.einsum("ni,nij,nj->n", error, np.linalg.inv(P[:, at][:, :, at]), error)))
-
-
-def _newest(found: Series, true: Series) -> NDArray[np.int64]:
-    """The row of ``found`` that is the newest at each true stamp."""
-    return np.searchsorted(found.t_ns, true.t_ns[true.t_ns >= found.t_ns[0]], side="right") - 1
+def _rmse(found: Measured, true: Truth) -> Errors:
+    """Errors at the stamps of what was found; the robot never turns round, so that angles are plain numbers."""
+    errors: Errors = dict.fromkeys(COMPARED)
+    for name in COMPARED:
+        if name in found.values:
+            at: Floats = np.interp(found.t_ns - true.t_ns[0], true.t_ns - true.t_ns[0], true.values[name])
+            errors[name] = float(np.sqrt(np.mean((found.values[name] - at) ** 2)))
+    return errors

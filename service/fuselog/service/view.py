@@ -8,201 +8,202 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from fuselog.fusion import Decision, Plan, compile_plan, parse_config
 from fuselog.fusion.gate import chi_square_quantile
-from fuselog.fusion.track import unpack
-from fuselog.replay import open_log
-from fuselog.service.runs import Decisions, Run, Series, load_measured, load_run, load_truth
+from fuselog.fusion.readings import PARTS, SAME_QUANTITY
+from fuselog.fusion.tables import Role
+from fuselog.replay import Log, open_log
+from fuselog.replay.measured import BEACON, Measured, read_measured
+from fuselog.replay.results import Decisions, Results, read_results
+from fuselog.replay.truth import Truth, read_truth
+from fuselog.schemas import LogError
+from fuselog.service.view_draw import Color, Drawing
 from fuselog.service.view_layout import Shown, layout
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Color = tuple[int, int, int]
 
 RAW: Color = (150, 150, 150)
 TRUTH: Color = (70, 200, 110)
 REFUSED: Color = (235, 70, 70)
 RUNS: tuple[Color, ...] = ((80, 160, 255), (255, 160, 50), (190, 120, 255), (60, 210, 210))
-_MOST_VERTICES = 50_000  # of a path; a longer one is thinned
-_ELLIPSES = 60  # of a path
-_PROBABILITY = 0.95  # of the bounds on NIS
+_BOUND = 0.95  # probability of the line in a plot of NIS
 
 
-def write_recording(
-    path: Path, *, outs: Sequence[Path], log: Path | None = None, truth: str | None = None
-) -> None:
-    """Write a recording (.rrd) of output logs ``outs``, over the ``log`` that they were made from where it is given.
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """An output log, and the filter that made it."""
+
+    name: str
+    plan: Plan
+    results: Results
+    color: Color
+
+    @property
+    def states(self) -> dict[str, Floats]:
+        """The estimates (n,) by state."""
+        return dict(zip(self.results.states, self.results.x.T, strict=True))
+
+    @property
+    def numbers(self) -> list[tuple[str, str, int, Decisions]]:
+        """All measured numbers: sensor, name, column in the sensor's decisions, decisions."""
+        decided = self.results.decisions
+        sensors = [s for s in self.plan.sensors if s.role == Role.MEASURES and s.name in decided]
+        return [(s.name, name, i, decided[s.name]) for s in sensors for i, name in enumerate(s.names)]
+
+    def sd(self, state: str) -> Floats:
+        """Standard deviations (n,) of one state."""
+        return np.sqrt(self._covariances(state, state))
+
+    @property
+    def horizontal_covariance(self) -> Floats:
+        """Covariances (n, 2, 2) of x and y."""
+        xx, xy, yy = (self._covariances(*pair) for pair in (("x", "x"), ("x", "y"), ("y", "y")))
+        return np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
+
+    def _covariances(self, a: str, b: str) -> Floats:
+        n, (i, j) = len(self.results.states), sorted(self.results.states.index(name) for name in (a, b))
+        return self.results.P[:, i * n - i * (i - 1) // 2 + j - i]
+
+
+def write_recording(path: Path, *, outs: Sequence[Path], log: Path | None = None, truth: str | None = None) -> None:
+    """Write a recording (.rrd) of output logs, with what was measured and true from the ``log`` they were made from.
 
     ``truth`` is a topic with poses or fixes; by default one whose name says so. All is over the timeline ``stamp``,
     and comes with its layout. Raises ``LogError`` and ``ConfigError``.
     """
-    runs = [load_run(out) for out in outs]
-    measured: dict[str, Series] = {}
+    runs = [_load(out, RUNS[i % len(RUNS)]) for i, out in enumerate(outs)]
+    measured: dict[str, Measured] = {}
     true = None
     if log is not None:
         with open_log(log) as opened:
-            measured = load_measured(opened, runs[0].plan)
-            true = load_truth(opened, runs[0], truth)
-    with rr.RecordingStream("fuselog", recording_id=path.stem) as to:
-        to.save(path, default_blueprint=layout(_shown(runs, measured, true)))
-        to.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        _log_measured(to, measured, runs[0].plan.states)
+            measured = read_measured(opened, runs[0].plan)
+            true = _truth(opened, runs[0].results, truth)
+    with rr.RecordingStream("fuselog", recording_id=path.stem) as stream:
+        stream.save(path, default_blueprint=layout(_shown(runs, measured, true)))
+        drawing = Drawing(stream)
+        _draw_measured(drawing, measured, runs[0].plan.states)
         if true is not None:
-            _log_truth(to, true)
-        for run, color in zip(runs, _colors(len(runs)), strict=True):
-            _log_run(to, run, color)
-        to.flush()
+            _draw_truth(drawing, true, runs[0].plan.states)
+        for run in runs:
+            _draw_run(drawing, run)
+        stream.flush()
 
 
-def _shown(runs: Sequence[Run], measured: Mapping[str, Series], true: Series | None) -> Shown:
-    plan = runs[0].plan
-    seen = [state for state in plan.states if any(state in series.names for series in measured.values())]
-    known = [state for state in plan.states if true is not None and state in true.names]
+def _load(out: Path, color: Color) -> _Run:
+    results = read_results(out)
+    if "config" not in results.about:
+        raise LogError(str(out), 0, "it does not say how it was made; is it the output of fuselog reprocess?")
+    plan = compile_plan(*parse_config(results.about["config"], name=f"{out}: configuration"))
+    return _Run(out.stem, plan, results, color)
+
+
+def _truth(log: Log, results: Results, topic: str | None) -> Truth | None:
+    named = (name for name, at in log.topics.items() if "truth" in name and at[0].schema.name in PARTS)
+    found = topic or next(named, None)
+    return None if found is None else read_truth(log, found, datum=results.datum)
+
+
+def _shown(runs: Sequence[_Run], measured: Mapping[str, Measured], true: Truth | None) -> Shown:
+    first, states = runs[0], runs[0].plan.states
+    seen = [state for state in states if any(state in sensor.values for sensor in measured.values())]
+    known = [state for state in states if true is not None and _name(state) in true.values]
+    numbers = first.numbers
     return Shown(
         runs=tuple(run.name for run in runs),
-        states=dict(plan.card.states),
-        main_states=tuple(dict.fromkeys([*seen, *known, *plan.states]))[:2],
-        numbers=tuple((d.sensor, name) for d in runs[0].decisions for name in d.names),
-        path=_positions(runs[0].states),
+        units=dict(first.plan.card.states),
+        main_states=tuple(dict.fromkeys([*seen, *known, *states]))[:2],
+        states={state: _span_of_state(first, measured, state) for state in states},
+        numbers={(sensor, name): _span_of_innovation(found, i) for sensor, name, i, found in numbers},
+        nis={sensor: (0.0, 3.5 * _bound(found)) for sensor, _, _, found in numbers},
+        gains=(0.0, 1.2 * max((_percentile(found.absorbed[:, i], 98) for *_, i, found in numbers), default=1.0)),
+        path=_positions(first.states),
     )
 
 
-def _colors(count: int) -> list[Color]:
-    return [RUNS[i % len(RUNS)] for i in range(count)]
+def _draw_measured(drawing: Drawing, measured: Mapping[str, Measured], states: Sequence[str]) -> None:
+    for sensor, found in measured.items():
+        for name in (name for name in found.values if name in states):
+            at = f"log/measured/{sensor}/{name}"
+            drawing.dots(at, found.t_ns, found.values[name], color=RAW, label=f"{sensor}, raw")
+        drawing.points(f"log/measured/{sensor}/position", _positions(found.values), color=RAW, radius=1.5)
+        if set(BEACON) <= set(found.values):
+            places = np.unique(np.stack([found.values[axis] for axis in BEACON], axis=1), axis=0)
+            drawing.points(f"log/measured/{sensor}/beacons", places, color=RAW, radius=6)
 
 
-def _log_measured(to: rr.RecordingStream, measured: Mapping[str, Series], states: Sequence[str]) -> None:
-    for sensor, series in measured.items():
-        for name in series.names:
-            if name in states:
-                style = rr.SeriesPoints(
-                    colors=RAW, markers="circle", marker_sizes=1.6, names=f"{sensor}, raw"
-                )
-                _send(to, f"measured/{sensor}/{name}", series.t_ns, series[name], style)
-        if {"x", "y"} <= set(series.names):
-            points = _positions(series)
-            to.log(
-                f"measured/{sensor}/position",
-                rr.Points3D(points, colors=RAW, radii=rr.Radius.ui_points(2)),
-                static=True,
-            )
-        if "beacon_x" in series.names:
-            places = np.unique(series.values[:, -3:], axis=0)
-            beacons = rr.Points3D(places, colors=RAW, radii=rr.Radius.ui_points(6))
-            to.log(f"measured/{sensor}/beacons", beacons, static=True)
+def _draw_truth(drawing: Drawing, true: Truth, states: Sequence[str]) -> None:
+    drawing.path("log/truth", true.t_ns, _positions(true.values), color=TRUTH, width=3.5)
+    for state in (state for state in states if _name(state) in true.values):
+        values = true.values[_name(state)]
+        drawing.line(f"log/truth/states/{state}", true.t_ns, values, color=TRUTH, label="truth", width=3)
 
 
-def _log_truth(to: rr.RecordingStream, true: Series) -> None:
-    _log_path(to, "truth", true, TRUTH, width=3.0)
-    for state in true.names:
-        _send(
-            to,
-            f"truth/states/{state}",
-            true.t_ns,
-            true[state],
-            rr.SeriesLines(colors=TRUTH, widths=2.5, names="truth"),
-        )
+def _draw_run(drawing: Drawing, run: _Run) -> None:
+    at, t_ns, states = f"runs/{run.name}", run.results.t_ns, run.states
+    positions = _positions(states)
+    drawing.path(at, t_ns, positions, color=run.color, width=1.5)
+    if len(positions):
+        drawing.ellipses(f"{at}/ellipses", positions, run.horizontal_covariance, color=run.color)
+    for state, value in states.items():
+        reach = 2 * run.sd(state)
+        drawing.band(f"{at}/states/{state}/band", t_ns, value - reach, value + reach, color=run.color, label=run.name)
+        drawing.line(f"{at}/states/{state}/estimate", t_ns, value, color=run.color, label=run.name)
+    for sensor, name, i, found in run.numbers:
+        number, reach = f"{sensor}.{name}", 2 * np.sqrt(found.innovation_variance[:, i])
+        innovations = f"{at}/innovations/{number}"
+        drawing.dots(f"{innovations}/samples", found.t_ns, found.innovation[:, i], color=run.color, label=run.name)
+        drawing.band(f"{innovations}/band", found.t_ns, -reach, reach, color=run.color, label=run.name)
+        gain, label = found.absorbed[:, i], f"{run.name} {number}"
+        drawing.line(f"{at}/gains/{number}", found.t_ns, gain, color=run.color, label=label)
+    for sensor, found in {sensor: found for sensor, *_, found in run.numbers}.items():
+        _draw_nis(drawing, run, sensor, found)
 
 
-def _log_run(to: rr.RecordingStream, run: Run, color: Color) -> None:
-    _log_path(to, run.name, run.states, color, width=1.5)
-    _log_ellipses(to, run, color)
-    for state in run.plan.states:
-        value, reach = run.states[state], 2 * run.sd(state)
-        at = f"{run.name}/states/{state}"
-        _send(to, at, run.states.t_ns, value, rr.SeriesLines(colors=color, widths=1.5, names=run.name))
-        _send_pair(
-            to, f"{at}/band", run.states.t_ns, value - reach, value + reach, _faint(color), f"{run.name} ± 2σ"
-        )
-    for decisions in run.decisions:
-        _log_decisions(to, run.name, decisions, color)
-
-
-def _log_decisions(to: rr.RecordingStream, run: str, made: Decisions, color: Color) -> None:
-    for column, name in enumerate(made.names):
-        number, reach = f"{made.sensor}.{name}", 2 * made.innovation_sd[:, column]
-        points = rr.SeriesPoints(colors=color, markers="circle", marker_sizes=1.6, names=run)
-        _send(to, f"{run}/innovations/{number}", made.t_ns, made.innovation[:, column], points)
-        _send_pair(
-            to, f"{run}/innovations/{number}/band", made.t_ns, -reach, reach, _faint(color), f"{run} ± 2σ"
-        )
-        line = rr.SeriesLines(colors=color, widths=1.5, names=f"{run} {number}")
-        _send(to, f"{run}/gains/{number}", made.t_ns, made.absorbed[:, column], line)
-    nis = rr.SeriesPoints(colors=color, markers="circle", marker_sizes=1.6, names=run)
-    _send(to, f"{run}/nis/{made.sensor}", made.t_ns, made.nis, nis)
-    refused = np.flatnonzero(made.decision != 0)
+def _draw_nis(drawing: Drawing, run: _Run, sensor: str, found: Decisions) -> None:
+    at, refused = f"runs/{run.name}/nis/{sensor}", np.flatnonzero(found.decision != Decision.FUSED)
+    drawing.dots(f"{at}/samples", found.t_ns, found.nis, color=run.color, label=run.name)
     if len(refused):
-        cross = rr.SeriesPoints(colors=REFUSED, markers="cross", marker_sizes=4, names=f"{run}, not used")
-        _send(to, f"{run}/nis/{made.sensor}/refused", made.t_ns[refused], made.nis[refused], cross)
-    if len(made.t_ns):
-        dof, ends = len(made.names), made.t_ns[[0, -1]]
-        for label, level in ((f"dof {dof}", float(dof)), ("95 %", chi_square_quantile(_PROBABILITY, dof))):
-            line = rr.SeriesLines(colors=RAW, widths=1.0, names=label)
-            _send(to, f"bounds/nis/{made.sensor}/{label}", ends, np.full(2, level), line)
+        stamps, label = found.t_ns[refused], f"{run.name}, not used"
+        drawing.dots(f"{at}/unused", stamps, found.nis[refused], color=REFUSED, label=label, size=4)
+    ends, dof = found.t_ns[[0, -1]], _dof(found)
+    drawing.line(f"bounds/{sensor}/dof", ends, np.full(2, float(dof)), color=RAW, label=f"mean wanted: {dof}")
+    drawing.line(f"bounds/{sensor}/upper", ends, np.full(2, _bound(found)), color=REFUSED, label=f"{_BOUND:.0%}")
 
 
-def _log_path(to: rr.RecordingStream, at: str, states: Series, color: Color, *, width: float) -> None:
-    """The whole way as a line, and a point that moves along it."""
-    points = _positions(states)
-    if not len(points):
-        return
-    few = slice(None, None, len(points) // _MOST_VERTICES + 1)
-    to.log(
-        f"{at}/path",
-        rr.LineStrips3D([points[few]], colors=color, radii=rr.Radius.ui_points(width)),
-        static=True,
-    )
-    to.log(f"{at}/position", rr.Points3D.from_fields(colors=color, radii=rr.Radius.ui_points(5)), static=True)
-    to.send_columns(f"{at}/position", [_time(states.t_ns[few])], rr.Points3D.columns(positions=points[few]))
+def _span_of_state(run: _Run, measured: Mapping[str, Measured], state: str) -> tuple[float, float]:
+    """What an axis should show, without the transient at the start."""
+    value, reach = run.states[state], 2 * run.sd(state)
+    parts = [value - reach, value + reach, *(m.values[state] for m in measured.values() if state in m.values)]
+    low, high = min(_percentile(part, 1) for part in parts), max(_percentile(part, 99) for part in parts)
+    margin = 0.15 * max(high - low, 1e-6)
+    return low - margin, high + margin
 
 
-def _log_ellipses(to: rr.RecordingStream, run: Run, color: Color) -> None:
-    """Horizontal 2 sigma ellipses along the path."""
-    points, names = _positions(run.states), run.plan.states
-    if not len(points):
-        return
-    turn = np.linspace(0, 2 * np.pi, 33)
-    circle, plane = 2 * np.stack([np.cos(turn), np.sin(turn)]), [names.index("x"), names.index("y")]
-    strips: list[Floats] = []
-    for row in range(0, len(points), len(points) // _ELLIPSES + 1):
-        spread, axes = np.linalg.eigh(unpack(run.covariance[row], len(names))[np.ix_(plane, plane)])
-        strip = np.tile(points[row], (len(turn), 1))
-        strip[:, :2] += ((axes * np.sqrt(np.maximum(spread, 0))) @ circle).T
-        strips.append(strip)
-    lines = rr.LineStrips3D(strips, colors=_faint(color), radii=rr.Radius.ui_points(1))
-    to.log(f"{run.name}/ellipses", lines, static=True)
+def _span_of_innovation(found: Decisions, i: int) -> tuple[float, float]:
+    reach = 4 * float(np.sqrt(max(_percentile(found.innovation_variance[:, i], 50), 1e-18)))
+    return -reach, reach
 
 
-def _positions(states: Series) -> Floats:
-    """Positions (n, 3) in m; none for a model without x and y."""
-    if not {"x", "y"} <= set(states.names):
+def _percentile(values: Floats, percent: float) -> float:
+    good = values[np.isfinite(values)]
+    return float(np.percentile(good, percent)) if len(good) else 0.0
+
+
+def _dof(found: Decisions) -> int:
+    return max(int(found.dof.max(initial=1)), 1)
+
+
+def _bound(found: Decisions) -> float:
+    return chi_square_quantile(_BOUND, _dof(found))
+
+
+def _positions(values: Mapping[str, Floats]) -> Floats:
+    """Positions (n, 3) in m; none where x or y is missing."""
+    if "x" not in values or "y" not in values:
         return np.empty((0, 3))
-    z = states["z"] if "z" in states.names else np.zeros(len(states.t_ns))
-    return np.stack([states["x"], states["y"], z], axis=1)
+    return np.stack([values["x"], values["y"], values.get("z", np.zeros_like(values["x"]))], axis=1)
 
 
-def _send(
-    to: rr.RecordingStream, at: str, t_ns: Ints, values: Floats, style: "rr.SeriesLines | rr.SeriesPoints"
-) -> None:
-    """One number over time; rows without one are left out."""
-    good = np.flatnonzero(np.isfinite(values))
-    to.log(at, style, static=True)
-    to.send_columns(at, [_time(t_ns[good])], rr.Scalars.columns(scalars=values[good]))
-
-
-def _send_pair(
-    to: rr.RecordingStream, at: str, t_ns: Ints, low: Floats, high: Floats, color: Color, name: str
-) -> None:
-    """Two numbers over time, drawn alike."""
-    good = np.flatnonzero(np.isfinite(low) & np.isfinite(high))
-    both = np.stack([low[good], high[good]], axis=1)
-    to.log(at, rr.SeriesLines(colors=[color, color], widths=[0.8, 0.8], names=[name, name]), static=True)
-    columns = rr.Scalars.columns(scalars=both.ravel()).partition(np.full(len(good), 2))
-    to.send_columns(at, [_time(t_ns[good])], columns)
-
-
-def _time(t_ns: Ints) -> rr.TimeColumn:
-    return rr.TimeColumn("stamp", timestamp=t_ns.astype("datetime64[ns]"))
-
-
-def _faint(color: Color) -> Color:
-    return color[0] * 6 // 10, color[1] * 6 // 10, color[2] * 6 // 10
+def _name(state: str) -> str:
+    """How a truth calls a state."""
+    return SAME_QUANTITY.get(state, state)

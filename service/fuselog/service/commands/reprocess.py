@@ -11,9 +11,7 @@ from fuselog.service.console import print_json, progress, stderr
 def reprocess(
     log: Annotated[Path, typer.Argument(help="The MCAP log to fuse.")],
     config: Annotated[Path, typer.Option("--config", "-c", help="The fusion configuration (YAML).")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Where to write the track (MCAP).")
-    ] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Where to write the track (MCAP).")] = None,
     order: Annotated[
         Literal["by_stamp", "as_received"] | None,
         typer.Option(help="Rows in stamp order (the best estimate), or as the live service publishes them."),

@@ -8,9 +8,7 @@ import typer
 
 def simulate(
     name: Annotated[str | None, typer.Argument(help="The scenario.", show_default=False)] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Where to write the log (MCAP).")
-    ] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Where to write the log (MCAP).")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the noise; the same seed gives the same log.")] = 0,
     duration: Annotated[float, typer.Option(min=1, max=86400, help="In s.")] = 60.0,
     show_list: Annotated[bool, typer.Option("--list", help="List the scenarios and exit.")] = False,
@@ -23,7 +21,7 @@ def simulate(
         for scenario, make in SCENARIOS.items():
             typer.echo(f"{scenario:12}{make.__doc__}")
         return
-    if name not in SCENARIOS:
+    if name is None or name not in SCENARIOS:
         raise typer.BadParameter(f"one of: {', '.join(SCENARIOS)}", param_hint="NAME")
     if output is None:
         raise typer.BadParameter("where to write the log", param_hint="--output")

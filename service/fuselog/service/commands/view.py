@@ -9,12 +9,8 @@ from fuselog.service.console import stderr
 
 
 def view(
-    outs: Annotated[
-        list[Path], typer.Argument(help="Output logs of reprocess; several are drawn over each other.")
-    ],
-    log: Annotated[
-        Path | None, typer.Option(help="The log they were made from: raw measurements and truth.")
-    ] = None,
+    outs: Annotated[list[Path], typer.Argument(help="Output logs of reprocess; several are drawn over each other.")],
+    log: Annotated[Path | None, typer.Option(help="The log they were made from: raw measurements and truth.")] = None,
     truth: Annotated[
         str | None, typer.Option(help="Topic of the truth in LOG; by default one whose name says so.")
     ] = None,
