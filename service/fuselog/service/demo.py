@@ -105,6 +105,11 @@ def _rmse(found: Measured, true: Truth) -> Errors:
     errors: Errors = dict.fromkeys(COMPARED)
     for name in COMPARED:
         if name in found.values:
-            at: Floats = np.interp(found.t_ns - true.t_ns[0], true.t_ns - true.t_ns[0], true.values[name])
+            at = _interpolated(true, name, found.t_ns)
             errors[name] = float(np.sqrt(np.mean((found.values[name] - at) ** 2)))
     return errors
+
+
+def _interpolated(true: Truth, name: str, t_ns: NDArray[np.int64]) -> Floats:
+    start = true.t_ns[0]
+    return np.asarray(np.interp(t_ns - start, true.t_ns - start, true.values[name]), np.float64)

@@ -31,8 +31,8 @@ class Drawing:
         self._scalars(at, t_ns, values[:, np.newaxis], style)
 
     def band(self, at: str, t_ns: Ints, low: Floats, high: Floats, *, color: Color, label: str) -> None:
-        """Two limits (n,) over time, in a darker colour."""
-        style = rr.SeriesLines(colors=[_dark(color)] * 2, widths=[1.0] * 2, names=[label] * 2)
+        """Two limits (n,) over time, thin; one entry in the legend with the line of the same label."""
+        style = rr.SeriesLines(colors=[color] * 2, widths=[0.5] * 2, names=[label] * 2)
         self._scalars(at, t_ns, np.stack([low, high], axis=1), style)
 
     def points(self, at: str, positions: Floats, *, color: Color, radius: float) -> None:
@@ -49,7 +49,7 @@ class Drawing:
             return
         way = rr.LineStrips3D([positions], colors=color, radii=rr.Radius.ui_points(width))
         self._stream.log(f"{at}/path", way, static=True)
-        style = rr.Points3D.from_fields(colors=color, radii=rr.Radius.ui_points(2.5 + width))
+        style = rr.Points3D.from_fields(colors=color, radii=rr.Radius.ui_points(4))
         self._stream.log(f"{at}/position", style, static=True)
         self._stream.send_columns(f"{at}/position", [_time(t_ns)], rr.Points3D.columns(positions=positions))
 
