@@ -97,9 +97,7 @@ def remember(recent: Recent, track: Track) -> Recent:
     return tuple(_remember(window, track, rank) for rank, window in enumerate(recent))
 
 
-def assess(
-    plan: Plan, *, estimate: Estimate, ledger: Ledger, recent: Recent, losses: Mapping[str, Losses]
-) -> Health:
+def assess(plan: Plan, *, estimate: Estimate, ledger: Ledger, recent: Recent, losses: Mapping[str, Losses]) -> Health:
     """The health of a filter; ``losses`` by topic, without the slash in front."""
     sensors = {
         sensor.name: _sensor(
@@ -132,13 +130,15 @@ def _remember(window: Window, track: Track, rank: int) -> Window:
     if not len(mine):
         return window
     kept = slice(max(len(window.nis) + len(mine) - _REMEMBERED, 0), None)
-    new = (track.stamp_ns[mine], track.decision[mine], track.nis[mine], track.dof[mine])
-    return Window(*(np.concatenate([old, more])[kept] for old, more in zip(window, new, strict=True)))
+    return Window(
+        stamp_ns=np.concatenate([window.stamp_ns, track.stamp_ns[mine]])[kept],
+        decision=np.concatenate([window.decision, track.decision[mine]])[kept],
+        nis=np.concatenate([window.nis, track.nis[mine]])[kept],
+        dof=np.concatenate([window.dof, track.dof[mine]])[kept],
+    )
 
 
-def _sensor(
-    sensor: SensorPlan, account: Account, window: Window, losses: Losses, now_ns: int | None
-) -> SensorHealth:
+def _sensor(sensor: SensorPlan, account: Account, window: Window, losses: Losses, now_ns: int | None) -> SensorHealth:
     valid = window.stamp_ns[window.decision < Decision.INVALID_NAN]
     last = int(valid.max()) if len(valid) else None
     period = _period(valid)
@@ -181,11 +181,11 @@ def _refused(window: Window) -> list[str]:
         return []
     reasons: list[str] = []
     for decision in Decision:
-        share = float(np.mean(window.decision == decision))
+        share = np.count_nonzero(window.decision == decision) / n
         if decision >= Decision.INVALID_NAN and share:
             kind = decision.name.removeprefix("INVALID_").lower()
             reasons.append(f"invalid ({kind}): {share:.0%} of the last {n} samples")
-    late = float(np.mean(window.decision == Decision.LATE))
+    late = np.count_nonzero(window.decision == Decision.LATE) / n
     if n >= _FEWEST and late > _MOST_LATE:
         reasons.append(f"late: {late:.0%} of the last {n} samples are older than lag.window")
     tried = window.decision[window.decision <= Decision.GATED]
@@ -224,7 +224,7 @@ def _nis(window: Window) -> NisHealth | None:
         return None
     nis, dof = window.nis[tried], window.dof[tried]
     above, outside = np.zeros(len(tried), bool), np.zeros(len(tried), bool)
-    for m in np.unique(dof).tolist():
+    for m in sorted({int(m) for m in dof}):
         mine = dof == m
         above[mine] = nis[mine] > chi_square_quantile(0.95, m)
         low, high = chi_square_quantile(0.025, m), chi_square_quantile(0.975, m)

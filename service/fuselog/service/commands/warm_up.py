@@ -1,0 +1,20 @@
+"""``fuselog warm-up``: kernels compiled ahead, so that nothing is compiled at run time."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fuselog.service.console import stderr
+
+
+def warm_up(
+    config: Annotated[list[Path], typer.Argument(help="Fusion configurations (YAML).")],
+) -> None:
+    """Compile all that these configurations need, into the cache that later runs use (FUSELOG_CACHE_DIR)."""
+    from fuselog.fusion import compile_plan, load_config  # noqa: PLC0415  slow to import
+    from fuselog.service.warm import warm_up as compile_all  # noqa: PLC0415  slow to import
+
+    for path in config:
+        compile_all(compile_plan(*load_config(path)))
+        stderr.print(f"compiled: {path}")

@@ -1,0 +1,48 @@
+"""How far a service has come with what a player sent: asked and answered over Zenoh."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import orjson
+import zenoh
+
+from fuselog.service.sources import Progress
+from fuselog.service.zenoh_door import answer, ask
+
+_PATIENCE_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """What one service answers: its keys, and how far it is with each from one publisher."""
+
+    filter: str
+    keys: frozenset[str]
+    progress: Mapping[str, Progress]
+
+
+Table = Callable[[], dict[str, dict[str, Progress]]]
+
+
+def answer_progress(session: zenoh.Session, filter: str, keys: list[str], table: Table) -> Callable[[], None]:
+    """Answer ``@fuselog/<filter>/received?source=<hex>`` from ``table``; returns what ends it."""
+    key = f"@fuselog/{filter}/received"
+
+    def received(query: zenoh.Query) -> dict[str, bytes]:
+        progress = table().get(query.parameters.get("source") or "", {})
+        counts = {name: list(counted) for name, counted in progress.items()}
+        return {key: orjson.dumps({"schema": 1, "filter": filter, "keys": keys, "progress": counts})}
+
+    return answer(session, key, received)
+
+
+def ask_progress(session: zenoh.Session, source: bytes) -> list[Received]:
+    """The answers of all services there are."""
+    texts = ask(session, f"@fuselog/*/received?source={source.hex()}", timeout_s=_PATIENCE_S)
+    return [_parsed(text) for text in texts]
+
+
+def _parsed(text: bytes) -> Received:
+    told = orjson.loads(text)
+    progress = {key: Progress(*counts) for key, counts in told["progress"].items()}
+    return Received(told["filter"], frozenset(told["keys"]), progress)

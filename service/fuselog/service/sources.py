@@ -1,0 +1,110 @@
+"""Samples as they came into batches of messages, with an account of each publisher's numbering."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from fuselog.schemas import Messages
+from fuselog.service.inbox import Arrival
+from fuselog.service.wire import UNTAGGED, Tag, read_tag
+
+_MOST_SOURCES = 4096
+_ASK_AGAIN_NS = 2_000_000_000
+
+Identify = Callable[[str, str], int | str]
+
+
+class Progress(NamedTuple):
+    """How far a publisher's samples of one key have come: taken, and missed by their numbers."""
+
+    received: int
+    missed: int
+
+
+@dataclass(slots=True)
+class _Source:
+    """One publisher of one key and type."""
+
+    stream: int | None
+    asked_ns: int
+    received: int = 0
+    missed: int = 0
+    last: int = 0
+
+
+class Sources:
+    """Knows every (key, type, publisher) that has sent anything; ``keys`` are numbered as the inbox numbers them.
+
+    A sample whose type cannot be used is counted in ``unknown``, and ``reasons`` says why.
+    """
+
+    def __init__(self, keys: Sequence[str], identify: Identify) -> None:
+        self.keys = keys
+        self.missed = [0] * len(keys)
+        self.unknown = [0] * len(keys)
+        self.reasons = [""] * len(keys)
+        self._identify = identify
+        self._sources: dict[tuple[int, str, bytes], _Source] = {}
+
+    def batch(self, arrivals: Sequence[Arrival]) -> Messages:
+        """The samples that can be used, in the order in which they came."""
+        rows: list[tuple[int, int, int]] = []
+        payloads: list[bytes] = []
+        for key, sample, arrival_ns in arrivals:
+            attachment = sample.attachment
+            tag = UNTAGGED if attachment is None else read_tag(attachment.to_bytes())
+            source = self._source(key, str(sample.encoding), tag, arrival_ns)
+            if source.stream is None:
+                self.unknown[key] += 1
+                continue
+            rows.append((source.stream, tag.t_ns if tag.t_ns > 0 else arrival_ns, max(tag.sequence, 0)))
+            payloads.append(sample.payload.to_bytes())
+        return _messages(rows, payloads)
+
+    def progress(self) -> dict[str, dict[str, Progress]]:
+        """By publisher (hexadecimal) and key."""
+        table: dict[str, dict[str, Progress]] = {}
+        for (key, _, gid), source in self._sources.items():
+            mine = table.setdefault(gid.hex(), {})
+            before = mine.get(self.keys[key], Progress(0, 0))
+            mine[self.keys[key]] = Progress(before.received + source.received, before.missed + source.missed)
+        return table
+
+    def _source(self, key: int, media: str, tag: Tag, now_ns: int) -> _Source:
+        """The source of a sample, which is counted with it."""
+        identity = (key, media, tag.source)
+        source = self._sources.get(identity)
+        if source is None:
+            if len(self._sources) >= _MOST_SOURCES:
+                del self._sources[next(iter(self._sources))]
+            source = self._sources[identity] = _Source(self._learn(key, media), now_ns)
+        elif source.stream is None and now_ns - source.asked_ns > _ASK_AGAIN_NS:
+            source.stream, source.asked_ns = self._learn(key, media), now_ns
+        source.received += 1
+        if source.last and tag.sequence > source.last + 1:
+            gap = tag.sequence - source.last - 1
+            source.missed += gap
+            self.missed[key] += gap
+        source.last = max(source.last, tag.sequence)
+        return source
+
+    def _learn(self, key: int, media: str) -> int | None:
+        found = self._identify(self.keys[key], media)
+        self.reasons[key] = found if isinstance(found, str) else ""
+        return None if isinstance(found, str) else found
+
+
+def _messages(rows: Sequence[tuple[int, int, int]], payloads: Sequence[bytes]) -> Messages:
+    table = np.array(rows, np.int64).reshape(-1, 3)
+    length = np.fromiter(map(len, payloads), np.int64, len(payloads))
+    return Messages(
+        stream=table[:, 0].astype(np.int32),
+        data=np.frombuffer(b"".join(payloads), np.uint8),
+        start=np.cumsum(length) - length,
+        length=length,
+        log_time=table[:, 1].copy(),
+        publish_time=table[:, 1].copy(),
+        sequence=table[:, 2].copy(),
+    )

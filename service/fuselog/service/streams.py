@@ -1,0 +1,93 @@
+"""What the streams on Zenoh are: publishers tell who asks, and a filter learns the type of what it gets."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict
+
+import orjson
+import zenoh
+
+from fuselog.fusion import Stream
+from fuselog.fusion.intake import TF_STATIC, Intake
+from fuselog.fusion.stream import same_topic
+from fuselog.schemas import FuselogError, SchemaError, definition
+from fuselog.service.wire import message_type
+from fuselog.service.zenoh_door import answer, ask
+
+_ABOUT = "@fuselog/stream"  # `**` does not match what begins with @, so no one gets this by accident
+_LARGEST = 4 << 20  # bytes of a description that is read
+_PATIENCE_S = 1.0
+
+Learn = Callable[[str], list[Stream]]
+
+
+def tell(session: zenoh.Session, streams: Mapping[str, Iterable[Stream]]) -> None:
+    """Answer everyone who asks what is published under a key of ``streams``, as long as the session lives."""
+    texts = {f"{_ABOUT}/{key}": orjson.dumps([asdict(s) for s in several]) for key, several in streams.items()}
+
+    def about(query: zenoh.Query) -> dict[str, bytes]:
+        return {key: text for key, text in texts.items() if query.key_expr.intersects(key)}
+
+    answer(session, f"{_ABOUT}/**", about)
+
+
+def learn(session: zenoh.Session, key: str) -> list[Stream]:
+    """What publishers say of ``key``; empty when nobody does."""
+    texts = ask(session, f"{_ABOUT}/{key}", timeout_s=_PATIENCE_S)
+    return [stream for text in texts for stream in _described(text)]
+
+
+def _described(text: bytes) -> list[Stream]:
+    """The streams of an answer; none when it is not one."""
+    if len(text) > _LARGEST:
+        return []
+    try:
+        return [Stream(**{name: str(each[name]) for name in Stream.__slots__}) for each in orjson.loads(text)]
+    except (ValueError, TypeError, KeyError):
+        return []
+
+
+class Streams:
+    """Numbers the streams of the keys of a filter, and opens each in its intake when its first sample comes.
+
+    What the publisher says of its type counts first, for logs hold types that differ from today's of the same name;
+    then the definitions that come with fuselog. ``identify`` gives the number, or why there is none.
+    """
+
+    def __init__(self, intake: Intake, types: Mapping[str, str], learn: Learn) -> None:
+        self._intake = intake
+        self._types = types  # by key: what the configuration says
+        self._learn = learn
+        self._numbers: dict[Stream, int] = {}
+
+    def identify(self, key: str, media: str) -> int | str:
+        """The number of the stream that carries samples of ``key`` with this encoding of Zenoh's."""
+        encoding, name = message_type(media)
+        told = [s for s in self._learn(key) if encoding in ("", s.encoding) and name in ("", s.schema_name)]
+        try:
+            stream = told[0] if told else _known(key, encoding or "cdr", name or self._types.get(key, ""))
+            if stream not in self._numbers:
+                self._check(stream)
+                self._numbers[stream] = len(self._numbers)
+        except FuselogError as error:
+            return str(error)
+        return self._numbers[stream]
+
+    def _check(self, stream: Stream) -> None:
+        """Open the stream; raises ``ConfigError`` or ``SchemaError`` when it cannot be used."""
+        if same_topic(stream.topic) == same_topic(TF_STATIC):
+            stream.codec(["transforms[]", "transforms[0].child_frame_id", "transforms[0].transform.rotation.w"])
+        self._intake.open(len(self._numbers), stream)
+
+
+def _known(key: str, encoding: str, name: str) -> Stream:
+    if not name:
+        raise SchemaError(key, "the publisher does not say its type; name it in the configuration (type)")
+    if encoding != "cdr":
+        raise SchemaError(name, f"the publisher does not give the definition that {encoding} needs")
+    return Stream(topic=key, encoding="cdr", schema_name=name, schema_encoding="ros2msg", schema_text=definition(name))
+
+
+def stream_types(topics: Mapping[str, str | None]) -> dict[str, str]:
+    """By key: the type that the configuration gives for a topic, and that of the static transforms."""
+    given = {same_topic(topic): kind for topic, kind in topics.items() if kind is not None}
+    return {same_topic(TF_STATIC): "tf2_msgs/msg/TFMessage"} | given

@@ -1,0 +1,45 @@
+"""What a sample carries on Zenoh besides its payload: its number, its time, its source, and the type of the message."""
+
+import struct
+from typing import Final, NamedTuple
+
+_ATTACHMENT: Final = struct.Struct("<qqB16s")  # as rmw_zenoh writes it; the gid has its length in front
+_GID_BYTES: Final = 16
+_MEDIA: Final = {"cdr": "application/cdr", "json": "application/json", "protobuf": "application/protobuf"}
+_ENCODINGS: Final = {media: encoding for encoding, media in _MEDIA.items()} | {"text/json": "json"}
+
+
+class Tag(NamedTuple):
+    """Number (from 1) and time (ns) that the publisher gave a sample, and the publisher's own 16 bytes."""
+
+    sequence: int
+    t_ns: int
+    source: bytes
+
+
+UNTAGGED: Final = Tag(0, 0, b"")
+
+
+def write_tag(tag: Tag) -> bytes:
+    """The attachment (33 bytes) in rmw_zenoh's form."""
+    return _ATTACHMENT.pack(tag.sequence, tag.t_ns, _GID_BYTES, tag.source)
+
+
+def read_tag(attachment: bytes) -> Tag:
+    """The tag in an attachment, ``UNTAGGED`` when it is of another form."""
+    if len(attachment) != _ATTACHMENT.size or attachment[16] != _GID_BYTES:
+        return UNTAGGED
+    sequence, t_ns, _, source = _ATTACHMENT.unpack(attachment)
+    return Tag(sequence, t_ns, source)
+
+
+def media_type(encoding: str, schema_name: str) -> str:
+    """Zenoh's encoding of messages: ``application/cdr;sensor_msgs/msg/Imu``."""
+    media = _MEDIA.get(encoding, f"application/{encoding}" if encoding else "zenoh/bytes")
+    return f"{media};{schema_name}" if schema_name else media
+
+
+def message_type(media: str) -> tuple[str, str]:
+    """Message encoding and schema name of ``media_type``; each empty when it does not say."""
+    kind, _, schema = media.partition(";")
+    return _ENCODINGS.get(kind, ""), schema.removeprefix("schema=")
