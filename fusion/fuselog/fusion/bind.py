@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.events import Decision
+from fuselog.fusion.events import Decision, Events
 from fuselog.fusion.geodesy import enu
 from fuselog.fusion.mounts import Mount
 from fuselog.fusion.readings import Part, Shape
@@ -58,14 +58,13 @@ class Binder:
     recipe: Recipe
     needs_datum: bool
 
-    def bind(
-        self, values: Floats, t_ns: Ints, fault: NDArray[np.uint8], mount: Mount, datum: Floats, rows: int
-    ) -> tuple[Floats, Floats]:
-        """z (n, rows + SAMPLE_WIDTH) and R (n, rows * rows); marks in ``fault`` the rows that cannot be used."""
-        z = np.zeros((len(t_ns), rows + SAMPLE_WIDTH))
-        R = np.zeros((len(t_ns), rows * rows))
-        bind_rows(self.recipe, values, t_ns, fault, mount.matrix, mount.quaternion, mount.turned, datum, z, R)
-        return z, R
+    def bind(self, values: Floats, events: Events, rows: Ints, mount: Mount, datum: Floats) -> None:
+        """Fill z and R of these rows of the events, whose stamps and faults are set; the others' stay untouched.
+
+        A row that cannot be used gets its fault.
+        """
+        turn = (mount.turned, mount.matrix, mount.quaternion)
+        bind_rows(self.recipe, values, rows, events.t_ns, events.fault, *turn, datum, events.z, events.R)
 
 
 def make_binder(sensor: SensorPlan, parts: Sequence[Part]) -> Binder:
@@ -129,24 +128,26 @@ def _place_covariance(covariance: Ints, fields: list[str], rows: tuple[Part, int
 def bind_rows(
     recipe: Recipe,
     values: Row,
-    t_ns: Ints,
+    rows: Ints,
+    t_ns: Row,
     fault: NDArray[np.uint8],
+    turned: bool,
     matrix: Floats,
     quaternion: Floats,
-    turned: bool,
     datum: Floats,
     z: Row,
     R: Row,
 ) -> None:
-    """Fill z and R from ``values`` (n, fields); sets the fault of rows that cannot be used."""
-    slots, m = len(recipe.covariance), len(recipe.pick)
+    """``Binder.bind``: row ``rows[n]`` of z and R from ``values[n]``."""
+    slots, m, M = len(recipe.covariance), len(recipe.pick), z.shape[1] - SAMPLE_WIDTH
     full: Row = np.zeros(slots)
     C: Row = np.zeros((slots, slots))
     half: Row = np.zeros((slots, slots))
     L = np.zeros(m * m)
     undo = (-quaternion[0], -quaternion[1], -quaternion[2], quaternion[3])
-    for n in range(len(t_ns)):
-        if fault[n] != GOOD:
+    for n in range(len(rows)):
+        row = rows[n]
+        if fault[row] != GOOD:
             continue
         for part in range(len(recipe.shape)):
             read_part(recipe, values[n], part, matrix, undo, turned, datum, full)
@@ -154,13 +155,14 @@ def bind_rows(
         if turned:
             turn(recipe, C, half, matrix)
         for i in range(m):
-            z[n, i] = full[recipe.pick[i]] * recipe.scale[i] + recipe.offset[i]
+            z[row, i] = full[recipe.pick[i]] * recipe.scale[i] + recipe.offset[i]
             for j in range(m):
                 entry = 0.5 * (C[recipe.pick[i], recipe.pick[j]] + C[recipe.pick[j], recipe.pick[i]])
-                R[n, i * m + j] = noise(recipe, i, j, entry)
+                R[row, i * m + j] = noise(recipe, i, j, entry)
         for i in range(SAMPLE_WIDTH):
-            z[n, z.shape[1] - SAMPLE_WIDTH + i] = values[n, recipe.extra[i]] if recipe.extra[i] >= 0 else 0.0
-        fault[n] = judge(t_ns[n], z[n], R[n], m, L)
+            if recipe.extra[i] >= 0:
+                z[row, M + i] = values[n, recipe.extra[i]]
+        fault[row] = judge(t_ns[row], z[row], R[row], m, L)
 
 
 @inline

@@ -46,13 +46,15 @@ class Events(NamedTuple):
         return Events._make(column[index] for column in self)
 
 
-def no_events(rows: int) -> Events:
-    """``rows`` is M, the most numbers that one sample of any sensor measures."""
-    none = np.empty(0, np.int64)
-    z, R = np.empty((0, rows + SAMPLE_WIDTH)), np.empty((0, rows * rows))
-    return Events(none, none, none, np.empty(0, np.uint8), z, R, none)
+def blank_events(n: int, rows: int) -> Events:
+    """n events to fill in; ``rows`` is M, the most numbers that one sample of any sensor measures."""
+    t_ns, sensor, seq, arrival_ns = (np.zeros(n, np.int64) for _ in range(4))
+    z, R = np.zeros((n, rows + SAMPLE_WIDTH)), np.zeros((n, rows * rows))
+    return Events(t_ns, sensor, seq, np.zeros(n, np.uint8), z, R, arrival_ns)
 
 
 def join(parts: Sequence[Events]) -> Events:
     """The samples of all parts, one part after the other."""
+    if len(parts) == 1:
+        return parts[0]
     return Events._make(np.concatenate(columns) for columns in zip(*parts, strict=True))

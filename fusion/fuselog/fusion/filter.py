@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 
 from fuselog.fusion.engine import Engine, Estimate
-from fuselog.fusion.events import Decision, Events, no_events
+from fuselog.fusion.events import Decision, Events, blank_events
 from fuselog.fusion.intake import Intake
 from fuselog.fusion.ledger import Ledger, make_ledger
 from fuselog.fusion.order import StampOrder
@@ -38,7 +38,7 @@ class Filter:
 
     def finish(self) -> Track:
         """The rows of what was still held back for its order."""
-        rest = no_events(self.plan.tables.M) if self._order is None else self._order.finish()
+        rest = blank_events(0, self.plan.tables.M) if self._order is None else self._order.finish()
         return self._engine.advance(rest)
 
     @property

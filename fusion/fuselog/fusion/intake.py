@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.bind import Binder, make_binder, without_noise
 from fuselog.fusion.config import Problem, did_you_mean
-from fuselog.fusion.events import Decision, Events, join, no_events
+from fuselog.fusion.events import Decision, Events, blank_events, join
 from fuselog.fusion.mounts import IDENTITY, Mount, StaticTransforms, configured_mount
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.readings import PARTS, Shape, sensor_parts
@@ -120,7 +120,7 @@ class Intake:
         """The events of a batch."""
         self._learn_datum(messages)
         levers: dict[int, Floats] = {}
-        parts = [no_events(self._plan.tables.M)]
+        parts: list[Events] = []
         for index in self._between_transforms(messages):
             for feed in self._feeds:
                 if feed.mount is None and self._place(feed, messages, index):
@@ -140,48 +140,42 @@ class Intake:
 
     def _segment(self, messages: Messages, index: Ints) -> Events:
         """The events of a run, what was held back first, then by arrival and rank."""
-        places, parts = list[Ints](), list[Events]()
-        for feed in self._feeds:
-            mine = index[np.isin(messages.stream[index], list(feed.taps))]
-            if feed.mount is None:
-                feed.held += [own_messages(messages, mine)] if len(mine) else []
-                continue
-            for held in feed.held:
-                places.append(np.full(len(held), -1))
-                parts.append(self._events(feed, held, np.arange(len(held))))
-            feed.held.clear()
-            places.append(mine)
-            parts.append(self._events(feed, messages, mine))
-        if not parts:
-            return no_events(self._plan.tables.M)
-        events = join(parts)
-        return events.take(np.lexsort((events.seq, events.sensor, np.concatenate(places))))
+        batches = [(feed, *batch) for feed in self._feeds for batch in self._ready(feed, messages, index)]
+        sizes = [len(places) for _, _, _, places in batches]
+        events = blank_events(sum(sizes), self._plan.tables.M)
+        row = np.empty(events.size, np.int64)
+        if batches:
+            rank = np.repeat([feed.sensor.rank for feed, *_ in batches], sizes)
+            row[np.lexsort((rank, np.concatenate([places for *_, places in batches])))] = np.arange(len(row))
+        for (feed, source, chosen, _), rows in zip(batches, np.split(row, np.cumsum(sizes)[:-1]), strict=bool(batches)):
+            self._fill(events, rows, feed, source, chosen)
+        return events
 
-    def _events(self, feed: _Feed, messages: Messages, index: Ints) -> Events:
-        """The messages at ``index``, decoded and bound, in their order."""
-        n, M = len(index), self._plan.tables.M
-        blank = no_events(M)
-        events = Events(
-            t_ns=np.zeros(n, np.int64),
-            sensor=np.full(n, feed.sensor.rank),
-            seq=feed.taken + np.arange(n),
-            fault=np.zeros(n, np.uint8),
-            z=np.zeros((n, blank.z.shape[1])),
-            R=np.zeros((n, blank.R.shape[1])),
-            arrival_ns=messages.log_time[index],
-        )
+    def _ready(self, feed: _Feed, messages: Messages, index: Ints) -> list[tuple[Messages, Ints, Ints]]:
+        """What a sensor can give now: messages, which of them, and their places in the order of arrival."""
+        mine = index[np.isin(messages.stream[index], list(feed.taps))]
+        if feed.mount is None:
+            feed.held += [own_messages(messages, mine)] if len(mine) else []
+            return []
+        held = [(batch, np.arange(len(batch)), np.full(len(batch), -1)) for batch in feed.held]
+        feed.held.clear()
+        return [*held, (messages, mine, mine)]
+
+    def _fill(self, events: Events, rows: Ints, feed: _Feed, messages: Messages, index: Ints) -> None:
+        """Decode and bind the messages at ``index``, in their order, into these rows of the events."""
+        events.sensor[rows] = feed.sensor.rank
+        events.seq[rows] = feed.taken + np.arange(len(rows))
+        events.arrival_ns[rows] = messages.log_time[index]
+        feed.taken += len(rows)
         for number, tap in feed.taps.items():
             mine = np.flatnonzero(messages.stream[index] == number)
-            if len(mine):
-                chosen = index[mine]
-                columns = tap.codec.decode(messages.data, messages.start[chosen], messages.length[chosen])
-                t_ns = columns.t_ns if tap.stamped else messages.log_time[chosen]
-                fault = _FROM_FAULT[columns.fault]
-                bound = tap.binder.bind(columns.values, t_ns, fault, feed.mount or IDENTITY, self._datum, M)
-                events.t_ns[mine], events.fault[mine] = t_ns, fault
-                events.z[mine], events.R[mine] = bound
-        feed.taken += n
-        return events
+            if len(mine) == 0:
+                continue
+            chosen, at = index[mine], rows[mine]
+            columns = tap.codec.decode(messages.data, messages.start[chosen], messages.length[chosen])
+            events.t_ns[at] = columns.t_ns if tap.stamped else messages.log_time[chosen]
+            events.fault[at] = _FROM_FAULT[columns.fault]
+            tap.binder.bind(columns.values, events, at, feed.mount or IDENTITY, self._datum)
 
     def _tap(self, sensor: SensorPlan, stream: Stream) -> _Tap:
         """Decoder and binder of a stream for a sensor; every mismatch is a ``ConfigError`` at the sensor."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fuselog.fusion.events import Decision, Events, join, no_events
+from fuselog.fusion.events import Decision, Events, blank_events, join
 from fuselog.fusion.tables import NEVER
 
 
@@ -16,7 +16,7 @@ class StampOrder:
     def __init__(self, window_ns: int, rows: int) -> None:
         self._window_ns = window_ns
         self._newest = NEVER
-        self._held = no_events(rows)
+        self._held = blank_events(0, rows)
         self._place = np.empty(0, np.int64)  # (held,) where each held event stands in time
 
     @property

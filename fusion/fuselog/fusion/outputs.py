@@ -39,14 +39,18 @@ class Output:
 
 
 class Outputs:
-    """The topics of one filter, and its tracks as messages of them.
+    """The topics of one filter, and its tracks as messages of them, in the order of the track.
 
-    ``<estimate>`` carries the state after every sample that moved it, ``<estimate>/odometry`` the same as a pose for
-    models that have one, ``<estimate>/decision`` what became of every sample. Streams are numbered as ``topics``.
+    ``<estimate>`` carries the state, at most ``output.rate`` times a second of event time; ``<estimate>/odometry`` the
+    same as a pose for models that have one; ``<estimate>/decision`` what became of every sample. Streams are numbered
+    as ``topics``. How a track is cut into batches makes no difference.
     """
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
+        rate = plan.config.output.rate
+        self._period_ns = 1 if rate is None else max(1, round(1e9 / rate))
+        self._published = NEVER  # the last period in which an estimate was published
         base = plan.config.output.estimate.rstrip("/")
         self.topics = [Output(base, ESTIMATE), Output(f"{base}/decision", DECISION)]
         if plan.card.has_pose:
@@ -56,56 +60,69 @@ class Outputs:
         self._decisions = [_decision_encoder(s.name, s.dof, plan.config.output.frame) for s in plan.sensors]
 
     def encode(self, track: Track) -> Messages:
-        """All messages of a track, row by row: estimate, then odometry, then decision of each row.
+        """All messages of the next rows of a track: estimate, decision, odometry of each row.
 
         ``log_time`` is the time of the estimate, or where nothing was estimated yet, the stamp of the sample.
         """
-        moved = np.flatnonzero(np.isin(track.decision, (Decision.FUSED, Decision.GATED)) & (track.t_ns != NEVER))
-        blocks = [_block(0, moved, *self._estimate.encode(track.t_ns[moved], _states(track, moved)))]
-        if self._odometry is not None:
-            values = _odometry_values(self._plan, track, moved)
-            blocks.append(_block(2, moved, *self._odometry.encode(track.t_ns[moved], values)))
+        due = self._due(track)
+        jobs = [_Job(0, due, self._estimate, track.t_ns[due], _states(track, due))]
         for rank, encoder in enumerate(self._decisions):
             rows = np.flatnonzero(track.sensor == rank)
-            stamps = np.clip(track.stamp_ns[rows], 0, _LAST_STAMP)
             values = _decision_values(track, rows, self._plan.sensors[rank].dof)
-            blocks.append(_block(1, rows, *encoder.encode(stamps, values)))
-        return _join(blocks, np.where(track.t_ns == NEVER, np.maximum(track.stamp_ns, 0), track.t_ns))
+            jobs.append(_Job(1, rows, encoder, np.clip(track.stamp_ns[rows], 0, _LAST_STAMP), values))
+        if self._odometry is not None:
+            jobs.append(_Job(2, due, self._odometry, track.t_ns[due], _odometry_values(self._plan, track, due)))
+        return _encode(jobs, np.where(track.t_ns == NEVER, np.maximum(track.stamp_ns, 0), track.t_ns))
 
     def estimates(self, encoded: Messages) -> NDArray[np.uint8]:
         """The bytes of all estimates among the messages of ``encode``, one after the other."""
         return encoded.data[: int(encoded.length[encoded.stream == 0].sum())]
+
+    def _due(self, track: Track) -> NDArray[np.int64]:
+        """Rows whose estimate is published: the sample moved the filter, into a period without an estimate yet.
+
+        Without a rate a correction of the past counts too, as it changes the estimate of the same time.
+        """
+        moved = np.isin(track.decision, (Decision.FUSED, Decision.GATED)) & (track.t_ns != NEVER)
+        rows = np.flatnonzero(moved)
+        if self._plan.config.output.rate is None or len(rows) == 0:
+            return rows
+        period = track.t_ns[rows] // self._period_ns
+        first = period > np.append(self._published, period[:-1])
+        self._published = int(period[-1])
+        return rows[first]
 
 
 _LAST_STAMP = (1 << 31) * 1_000_000_000 - 1  # the last one that builtin_interfaces/Time can hold
 
 
 @dataclass(frozen=True, slots=True)
-class _Block:
-    """Messages of one stream and one size: the rows of the track that they belong to, and their bytes."""
+class _Job:
+    """Messages of one stream and one size: the rows of the track that they belong to, and their numbers."""
 
     stream: int
     rows: NDArray[np.int64]
-    data: NDArray[np.uint8]
-    size: int
+    encoder: CdrEncoder
+    t_ns: NDArray[np.int64]
+    values: Floats
 
 
-def _block(stream: int, rows: NDArray[np.int64], data: NDArray[np.uint8], size: int) -> _Block:
-    return _Block(stream, rows, data, size)
-
-
-def _join(blocks: Sequence[_Block], t_ns: NDArray[np.int64]) -> Messages:
-    """The messages of all blocks in the order of their rows; bytes stay where they are."""
-    rows = np.concatenate([block.rows for block in blocks])
-    stream = np.concatenate([np.full(len(block.rows), block.stream, np.int32) for block in blocks])
-    length = np.concatenate([np.full(len(block.rows), block.size) for block in blocks])
-    start = np.cumsum(length) - length
+def _encode(jobs: Sequence[_Job], t_ns: NDArray[np.int64]) -> Messages:
+    """The messages of all jobs in the order of their rows, each job's bytes in one piece of one buffer."""
+    rows = np.concatenate([job.rows for job in jobs])
+    stream = np.concatenate([np.full(len(job.rows), job.stream, np.int32) for job in jobs])
+    length = np.concatenate([np.full(len(job.rows), job.encoder.size) for job in jobs])
+    data, at = np.empty(int(length.sum()), np.uint8), 0
+    for job in jobs:
+        size = len(job.rows) * job.encoder.size
+        job.encoder.encode(job.t_ns, job.values, out=data[at : at + size])
+        at += size
     order = np.lexsort((stream, rows))
     times = t_ns[rows[order]]
     return Messages(
         stream=stream[order],
-        data=np.concatenate([block.data for block in blocks]),
-        start=start[order],
+        data=data,
+        start=(np.cumsum(length) - length)[order],
         length=length[order],
         log_time=times,
         publish_time=times,

@@ -76,9 +76,7 @@ def from_index(data: NDArray[np.uint8], contents: list[tuple[int, int]]) -> list
         if 44 + entries > length or entries % _INDEX_ENTRY.itemsize or end + index_bytes > len(data):
             raise ValueError("chunk index points outside of the file")
         named = np.frombuffer(data[at + 36 : at + 36 + entries], _INDEX_ENTRY)["channel"]
-        chunks.append(
-            Chunk(offset, end, clamp(start), clamp(finish), named if entries else None, end + index_bytes)
-        )
+        chunks.append(Chunk(offset, end, clamp(start), clamp(finish), named if entries else None, end + index_bytes))
     chunks.sort(key=lambda chunk: chunk.offset)
     if any(a.end > b.offset for a, b in pairwise(chunks)):
         raise ValueError("chunk index names overlapping chunks")

@@ -114,9 +114,7 @@ def _read_statistics(
     return None
 
 
-def _define(
-    data: NDArray[np.uint8], rows: NDArray[np.int64], definitions: Definitions, losses: Losses
-) -> None:
+def _define(data: NDArray[np.uint8], rows: NDArray[np.int64], definitions: Definitions, losses: Losses) -> None:
     for row in rows[(rows[:, 0] == records.SCHEMA) | (rows[:, 0] == records.CHANNEL)]:
         try:
             definitions.add(int(row[0]), _content(data, row))
@@ -124,9 +122,7 @@ def _define(
             losses.add(int(row[1]), str(error))
 
 
-def _use_index(
-    data: NDArray[np.uint8], summary: NDArray[np.int64], contents: Contents, losses: Losses
-) -> bool:
+def _use_index(data: NDArray[np.uint8], summary: NDArray[np.int64], contents: Contents, losses: Losses) -> bool:
     """Take chunks and metadata from the summary, if it names all of them and declares all their channels."""
     try:
         chunks = from_index(data, _extents(summary, records.CHUNK_INDEX))

@@ -54,7 +54,7 @@ def evaluate(results: Results, truth: Truth) -> Evaluation:
     return Evaluation(
         rmse={state: _rms(error) for state, error in errors.items()},
         position_rmse=_position_rmse(errors),
-        attitude_rmse_deg=_attitude_rmse_deg(results, truth, errors),
+        attitude_rmse_deg=_attitude_rmse_deg(truth, errors),
         nees=_nees(results, truth, errors),
         nis={name: _nis(d.nis[d.tried], d.dof[d.tried]) for name, d in results.decisions.items() if d.tried.any()},
         compared=len(truth.t_ns),
@@ -80,7 +80,7 @@ def _position_rmse(errors: Mapping[str, Floats]) -> float | None:
     return float(np.sqrt(sum(np.mean(error**2) for error in axes))) if len(axes) > 1 else None
 
 
-def _attitude_rmse_deg(results: Results, truth: Truth, errors: Mapping[str, Floats]) -> float | None:
+def _attitude_rmse_deg(truth: Truth, errors: Mapping[str, Floats]) -> float | None:
     """RMS of the whole rotation between estimate and truth; of the yaw alone for a planar model."""
     if "yaw" not in errors:
         return None

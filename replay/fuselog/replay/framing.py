@@ -87,7 +87,7 @@ def put_bytes(target: NDArray[np.uint8], at: Integer, value: Integer, width: int
 
 
 @kernel
-def frame(  # noqa: PLR0917  a kernel takes its arguments by position
+def frame(
     data: NDArray[np.uint8],
     extent: NDArray[np.int64],
     fields: NDArray[np.int64],

@@ -49,9 +49,7 @@ class Log:
         self.profile = self._contents.profile
         if len(self._contents.definitions) > limits.channels:
             raise LogError(path, 0, f"more than {limits.channels} channels, which is the limit")
-        self.channels: dict[int, Channel] = self._contents.definitions.resolve(
-            self._contents.message_counts()
-        )
+        self.channels: dict[int, Channel] = self._contents.definitions.resolve(self._contents.message_counts())
 
     def __enter__(self) -> Self:
         return self
@@ -83,9 +81,7 @@ class Log:
         """Earliest and latest log time in ns as the file says, without reading; None without messages."""
         statistics = self._contents.statistics
         if statistics is not None:
-            found = [(statistics.message_start_time, statistics.message_end_time)] * (
-                statistics.message_count > 0
-            )
+            found = [(statistics.message_start_time, statistics.message_end_time)] * (statistics.message_count > 0)
         else:
             found = [(c.start_ns, c.finish_ns) for c in self._contents.chunks if c.finish_ns]
         return (min(first for first, _ in found), max(last for _, last in found)) if found else None

@@ -29,19 +29,6 @@ def in_time_order(chunks: Iterable[Chunk], load: Callable[[Chunk], Messages | No
             yield _join(ready)
 
 
-def rows(messages: Messages, key: slice | NDArray[np.int64]) -> Messages:
-    """Some of the messages, over the same payload bytes."""
-    return Messages(
-        stream=messages.stream[key],
-        data=messages.data,
-        start=messages.start[key],
-        length=messages.length[key],
-        log_time=messages.log_time[key],
-        publish_time=messages.publish_time[key],
-        sequence=messages.sequence[key],
-    )
-
-
 def _cut(waiting: list[Part], following: Chunk | None) -> tuple[list[Part], list[Part]]:
     """(what comes before all messages of the following chunk, the rest)."""
     ready: list[Part] = []
@@ -52,9 +39,9 @@ def _cut(waiting: list[Part], following: Chunk | None) -> tuple[list[Part], list
             side = "right" if offset < following.offset else "left"
             n = int(np.searchsorted(messages.log_time, following.start_ns, side=side))
         if n:
-            ready.append((offset, rows(messages, slice(0, n))))
+            ready.append((offset, messages.take(slice(0, n))))
         if n < len(messages):
-            rest.append((offset, rows(messages, slice(n, None))))
+            rest.append((offset, messages.take(slice(n, None))))
     return ready, rest
 
 

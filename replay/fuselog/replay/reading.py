@@ -10,7 +10,6 @@ from fuselog.replay.chunks import Chunk, count_indexed, read_header
 from fuselog.replay.contents import Block
 from fuselog.replay.decompress import Decompressor, Limits
 from fuselog.replay.loss import Losses
-from fuselog.replay.merge import rows
 from fuselog.schemas.errors import LogError
 from fuselog.schemas.messages import Messages
 
@@ -20,9 +19,7 @@ _CHANNELS = 1 << 16  # channel numbers are u16
 class ChunkOpener:
     """The file of a log, and its chunks as plain records; a chunk that cannot be opened is a loss."""
 
-    def __init__(
-        self, path: str, data: NDArray[np.uint8], limits: Limits, losses: Losses, *, check_crc: bool
-    ) -> None:
+    def __init__(self, path: str, data: NDArray[np.uint8], limits: Limits, losses: Losses, *, check_crc: bool) -> None:
         self._path = path
         self._mapped: NDArray[np.uint8] | None = data
         self._limits = limits
@@ -97,7 +94,7 @@ class Reading:
         if not len(messages):
             return None
         if not ordered:
-            messages = rows(messages, np.argsort(messages.log_time, kind="stable"))
+            messages = messages.take(np.argsort(messages.log_time, kind="stable"))
         if messages.log_time[0] < chunk.start_ns:
             self._losses.add(chunk.offset, "messages before the time range of their chunk: order not kept", 0)
         return messages

@@ -75,7 +75,7 @@ def find_definitions(data: NDArray[np.uint8], begin: int, end: int, found: NDArr
 
 
 @kernel
-def fill(  # noqa: PLR0917  a kernel takes its arguments by position
+def fill(
     data: NDArray[np.uint8],
     begin: int,
     end: int,
@@ -112,7 +112,7 @@ def fill(  # noqa: PLR0917  a kernel takes its arguments by position
 
 
 @inline
-def put(  # noqa: PLR0917  a kernel takes its arguments by position
+def put(
     rows: NDArray[np.int64],
     n: int,
     opcode: Integer,
@@ -127,9 +127,7 @@ def put(  # noqa: PLR0917  a kernel takes its arguments by position
 
 
 @kernel
-def scan(
-    data: NDArray[np.uint8], begin: int, end: int, span: int, rows: NDArray[np.int64]
-) -> tuple[int, int, bool]:
+def scan(data: NDArray[np.uint8], begin: int, end: int, span: int, rows: NDArray[np.int64]) -> tuple[int, int, bool]:
     """Walk top-level records without opening any -> (rows written, where to go on, whether it is the end).
 
     ``rows`` (capacity, 5): opcode, content start, content length, and for messages earliest and latest

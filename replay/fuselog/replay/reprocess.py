@@ -15,6 +15,8 @@ from fuselog.replay.log import Log, open_log
 from fuselog.replay.loss import Loss
 from fuselog.replay.tracks import TrackWriter, is_output
 
+_BATCH = 4096  # messages fed at a time: what they become stays in the processor's cache
+
 Advance = Callable[[float, float], None]
 
 
@@ -61,7 +63,9 @@ def reprocess(log: Log | str | Path, plan: Plan, *, order: Order | None = None) 
 def run(log: Log, filter: Filter) -> Iterator[tuple[int, Track]]:
     """Feed a log to a filter, a chunk at a time; yields (messages fed, rows), the held rows at the end."""
     for messages in log.batches(open_inputs(log, filter)):
-        yield len(messages), filter.feed(messages)
+        for first in range(0, len(messages), _BATCH):
+            batch = messages.take(slice(first, first + _BATCH))
+            yield len(batch), filter.feed(batch)
     yield 0, filter.finish()
 
 

@@ -27,9 +27,7 @@ class Truth:
         return Truth(self.t_ns[rows], {name: column[rows] for name, column in self.values.items()})
 
 
-def read_truth(
-    log: Log, topic: str, *, fields: Mapping[str, str] | None = None, datum: Floats | None = None
-) -> Truth:
+def read_truth(log: Log, topic: str, *, fields: Mapping[str, str] | None = None, datum: Floats | None = None) -> Truth:
     """Read a topic of Odometry, PoseStamped, TwistStamped, NavSatFix or Imu messages, or of any type by ``fields``.
 
     An attitude that never changes from the identity is one that nobody set, and is left out. Raises ``LogError`` for

@@ -29,9 +29,7 @@ class CdrCodec:
         columns: list[int] = []  # of the machine's output, one per path
         paths: list[str] = []
         self._texts: dict[str, tuple[int, str]] = {}
-        leaves = [
-            leaf for text in fields for leaf in expand(schema_name, root, split_path(schema_name, text))
-        ]
+        leaves = [leaf for text in fields for leaf in expand(schema_name, root, split_path(schema_name, text))]
         for path, node in leaves:
             leaf = want.at(path)
             name = join_path(path)

@@ -51,16 +51,12 @@ def compile_codec(
     return _CODECS[encoding](schema_name, root, fields, stamp)
 
 
-def field_paths(
-    *, encoding: str, schema_encoding: str, schema_name: str, schema_text: str | bytes
-) -> dict[str, str]:
+def field_paths(*, encoding: str, schema_encoding: str, schema_name: str, schema_text: str | bytes) -> dict[str, str]:
     """All paths of a schema with their kinds; element 0 stands for the elements of an array of messages."""
     return list_paths(_tree(encoding, schema_encoding, schema_name, schema_text))
 
 
-def stamp_path(
-    *, encoding: str, schema_encoding: str, schema_name: str, schema_text: str | bytes
-) -> str | None:
+def stamp_path(*, encoding: str, schema_encoding: str, schema_name: str, schema_text: str | bytes) -> str | None:
     """Where the stamp probably is: ``header.stamp``, else a top-level field named like one, else None."""
     return guess_stamp(_tree(encoding, schema_encoding, schema_name, schema_text))
 

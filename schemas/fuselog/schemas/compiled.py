@@ -34,9 +34,7 @@ def inline(function: _Kernel) -> _Kernel:
 
 
 class _Load(Protocol):
-    def __call__(
-        self, data: NDArray[np.uint8], at: int, swapped: bool, dtype: type[_Scalar], /
-    ) -> _Scalar: ...
+    def __call__(self, data: NDArray[np.uint8], at: int, swapped: bool, dtype: type[_Scalar], /) -> _Scalar: ...
 
 
 def _load(_context: Any, data: Any, at: Any, swapped: Any, dtype: Any) -> Any:  # noqa: ARG001  types only

@@ -60,15 +60,19 @@ class CdrEncoder:
             leaves = stamp_leaves(schema_name, root, split_path(schema_name, stamp))
             self._stamp = [(layout.numbers(join_path(path))[0][1], scale) for path, scale in leaves]
 
-    def encode(self, t_ns: NDArray[np.int64], values: NDArray[np.float64]) -> tuple[NDArray[np.uint8], int]:
+    def encode(
+        self, t_ns: NDArray[np.int64], values: NDArray[np.float64], *, out: NDArray[np.uint8] | None = None
+    ) -> tuple[NDArray[np.uint8], int]:
         """The messages of ``t_ns`` (n,) and ``values`` (n, width), one after another, and the size of each.
 
-        Whole numbers are stored exactly. Raises SchemaError for a value or stamp that its field cannot hold.
+        They are written to ``out`` (n * size,) when it is given. Whole numbers are stored exactly. Raises
+        SchemaError for a value or stamp that its field cannot hold.
         """
         n = len(t_ns)
         if values.shape != (n, len(self.paths)):
             raise ValueError(f"values are {values.shape}, not {(n, len(self.paths))}")
-        data = np.tile(self._template, n).reshape(n, self.size)
+        data = (np.empty(n * self.size, np.uint8) if out is None else out).reshape(n, self.size)
+        data[:] = self._template
         rest = t_ns
         for slot, scale in self._stamp:
             whole, rest = np.divmod(rest, scale) if scale > 1 else (rest, rest)
@@ -114,9 +118,7 @@ class _Layout:
         self._schema = schema
         self._root = root
         self._lengths = {split_path(schema, text): length for text, length in lengths.items()}
-        self._strings = {
-            split_path(schema, text): at for text, at in constants.items() if isinstance(at, str)
-        }
+        self._strings = {split_path(schema, text): at for text, at in constants.items() if isinstance(at, str)}
         self._used: set[Path] = set()
         self._write((), root)
         self._all_used()

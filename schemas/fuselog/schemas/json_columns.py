@@ -26,9 +26,7 @@ class JsonCodec:
     """
 
     def __init__(self, schema_name: str, root: Node, fields: Sequence[str], stamp: str | None) -> None:
-        leaves = [
-            leaf for text in fields for leaf in expand(schema_name, root, split_path(schema_name, text))
-        ]
+        leaves = [leaf for text in fields for leaf in expand(schema_name, root, split_path(schema_name, text))]
         self._numbers = [path for path, node in leaves if not isinstance(node, Text)]
         self._texts = {join_path(path): path for path, node in leaves if isinstance(node, Text)}
         self._stamp = None if stamp is None else _stamp_path(schema_name, root, stamp)

@@ -33,6 +33,18 @@ class Messages:
     def __len__(self) -> int:
         return len(self.stream)
 
+    def take(self, key: slice | NDArray[np.int64]) -> "Messages":
+        """Some of the messages, over the same payload bytes."""
+        return Messages(
+            stream=self.stream[key],
+            data=self.data,
+            start=self.start[key],
+            length=self.length[key],
+            log_time=self.log_time[key],
+            publish_time=self.publish_time[key],
+            sequence=self.sequence[key],
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Columns:

@@ -23,9 +23,7 @@ _MOST_LISTED: Final = 10_000
 def split_path(schema: str, text: str) -> Path:
     """The tokens of a path: ``a.b[2]`` is ``("a", "b", 2)``, ``a[]`` is ``("a", COUNT)``."""
     if _PATH.fullmatch(text) is None:
-        raise SchemaError(
-            schema, f"not a field path: {text!r} (like header.stamp, covariance[0], transforms[])"
-        )
+        raise SchemaError(schema, f"not a field path: {text!r} (like header.stamp, covariance[0], transforms[])")
     return tuple(name or (int(index) if index else COUNT) for name, index in _TOKEN.findall(text))
 
 

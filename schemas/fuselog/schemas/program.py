@@ -154,6 +154,4 @@ def _count_column(want: Want) -> int:
 
 
 def _elements_wanted(want: Want) -> list[tuple[int, Want]]:
-    return sorted(
-        (index, below) for index, below in want.below.items() if isinstance(index, int) and index >= 0
-    )
+    return sorted((index, below) for index, below in want.below.items() if isinstance(index, int) and index >= 0)

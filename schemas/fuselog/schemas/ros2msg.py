@@ -82,9 +82,7 @@ class _Definitions:
         qualified = _qualified(owner, name)
         if qualified not in self._texts:
             known = ", ".join(sorted(self._texts))
-            raise SchemaError(
-                self._schema, f"{owner} needs {qualified}, not defined here (there are: {known})"
-            )
+            raise SchemaError(self._schema, f"{owner} needs {qualified}, not defined here (there are: {known})")
         return self.record(qualified, holders)
 
 

@@ -75,9 +75,7 @@ def time_parts(names: Iterable[str]) -> tuple[str, str] | None:
 def is_time(node: Node) -> bool:
     """Whether ``node`` is a record of whole seconds and nanoseconds and nothing else."""
     return (
-        isinstance(node, Record)
-        and time_parts(node.fields) is not None
-        and all(map(is_integer, node.fields.values()))
+        isinstance(node, Record) and time_parts(node.fields) is not None and all(map(is_integer, node.fields.values()))
     )
 
 

@@ -116,6 +116,7 @@ class OutputSettings(Settings):
     estimate: str = "fused/odom"
     frame: str = "odom"
     child: str = "base_link"
+    rate: Positive | None = Field(50.0, description="most estimates per second of event time; null: after every sample")
 
 
 class ZenohSettings(Settings):
@@ -145,6 +146,6 @@ class Config(Settings):
     lag: LagSettings = LagSettings.model_validate({})
     gravity: Positive = Field(9.80665, description="m/s²")
     sensors: dict[str, SensorSettings] = Field(min_length=1)
-    output: OutputSettings = OutputSettings()
+    output: OutputSettings = OutputSettings.model_validate({})
     zenoh: ZenohSettings = ZenohSettings.model_validate({})
     http: HttpSettings = HttpSettings()
