@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 Span = tuple[float, float]  # of an axis
 
 _STRIP = 4.0  # a path this many times longer than wide is shown across the whole window
-_FIELD = 1.2  # height of what an eye sees, a little less, for each metre that it is away
+_FIELD = 0.95  # height of what an eye sees, a little less, for each metre that it is away
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +55,7 @@ def _overview(shown: Shown) -> rrb.Vertical | rrb.Horizontal:
         return rrb.Vertical(rrb.Horizontal(*states), below, row_shares=[4, 3], name="Overview")
     length, width = np.ptp(shown.path, axis=0)[:2]
     if length > _STRIP * width:
-        path = _path(shown, aspect=9.0)
+        path = _path(shown, aspect=11.0)
         return rrb.Vertical(path, rrb.Horizontal(*states), below, row_shares=[1.5, 4, 3], name="Overview")
     path = _path(shown, aspect=1.0)
     upper = rrb.Horizontal(path, rrb.Vertical(*states), column_shares=[1, 1])
@@ -100,10 +101,12 @@ def _gains(shown: Shown, *, legend: bool) -> rrb.TimeSeriesView:
 
 
 def _plot(name: str, contents: list[str], span: Span, *, legend: bool) -> rrb.TimeSeriesView:
+    always = rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
     return rrb.TimeSeriesView(
         origin="/",
         contents=contents,
         name=name,
+        axis_x=rrb.TimeAxis(view_range=always),
         axis_y=rrb.ScalarAxis(range=span),
         plot_legend=rrb.PlotLegend(corner="RightTop", visible=legend),
     )
