@@ -82,7 +82,7 @@ def reprocess_to(
         for fed, track in run(log, filter):
             messages += fed
             encoded = outputs.encode(track)
-            digest.update(outputs.estimates(encoded))
+            digest.update(outputs.estimates(encoded).data)
             if writer is not None:
                 writer.write(encoded)
             if advance is not None and len(track):
