@@ -111,6 +111,18 @@ def test_runs_without_their_log(folder):
     assert not any(entity.startswith("/log/") for entity in entities)
 
 
+def test_runs_of_one_name_stay_apart(folder):
+    (folder / "other one").mkdir()
+    other = folder / "other one" / "out.mcap"
+    other.write_bytes((folder / "out.mcap").read_bytes())
+    write_recording(folder / "two.rrd", outs=[folder / "out.mcap", other])
+    runs = {
+        str(chunk.entity_path).split("/")[2] for chunk in chunks_of(folder / "two.rrd") if "/runs" in chunk.entity_path
+    }
+    assert len(runs) == 2
+    assert "other_one-out" in runs
+
+
 def test_log_that_is_no_output(folder):
     with pytest.raises(LogError, match="output of fuselog reprocess"):
         write_recording(folder / "never.rrd", outs=[folder / "wall.mcap"])

@@ -59,7 +59,7 @@ def test_all_files_are_there(demo):
         "demo.rrd",
     }
     assert all(Path(path).stat().st_size > 500 for path in result["files"])
-    assert {path.name for path in folder.iterdir()} == {Path(path).name for path in result["files"]}
+    assert {path.name for path in folder.iterdir()} >= {Path(path).name for path in result["files"]}
 
 
 def test_configurations_left_behind_work(demo, tmp_path):
@@ -112,3 +112,13 @@ def test_rrd_needs_an_output(demo, tmp_path):
     _, folder = demo
     log, config = folder / "wall.mcap", folder / "optimal.yaml"
     assert run("reprocess", log, "-c", config, "--rrd", tmp_path / "a.rrd").returncode == 2
+
+
+def test_folder_and_recording_that_cannot_be_written(demo, tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    out = demo[1] / "optimal.mcap"
+    for command in (("demo", "--folder", tmp_path / "file"), ("view", out, "-o", tmp_path / "file" / "a.rrd")):
+        done = run(*command)
+        assert done.returncode == 1
+        assert done.stderr.startswith("error: ")
+        assert done.stderr.count("\n") == 1, done.stderr

@@ -1,6 +1,6 @@
 """The demonstration: a simulated robot, fused in two ways and compared with the truth."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -17,6 +17,7 @@ from fuselog.replay.results import read_results
 from fuselog.replay.simulate import simulate
 from fuselog.replay.truth import Truth, read_truth
 from fuselog.replay.wall_robot import arc
+from fuselog.service.errors import OutputError
 from fuselog.service.view import write_recording
 
 Floats = NDArray[np.float64]
@@ -43,11 +44,11 @@ class Demo:
 
 
 def run_demo(folder: Path, *, seed: int, duration: float, step: Step) -> Demo:
-    """Simulate, fuse, compare, draw; all is left in ``folder``. Raises ``FuselogError`` or ``OSError``."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Simulate, fuse, compare, draw; all is left in ``folder``. Raises ``FuselogError``."""
     log, recording = folder / "wall.mcap", folder / "demo.rrd"
     configs = {way: folder / f"{way}.yaml" for way in WAYS}
     outs = {way: folder / f"{way}.mcap" for way in WAYS}
+    _leave(folder, configs)
     simulate("wall", log, seed=seed, duration=duration)
     step(1, 4)
     plans = {way: _fuse(log, configs[way], outs[way]) for way in WAYS}
@@ -68,8 +69,17 @@ def run_demo(folder: Path, *, seed: int, duration: float, step: Step) -> Demo:
     )
 
 
+def _leave(folder: Path, configs: Mapping[str, Path]) -> None:
+    """The configurations, for the user to change."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for config in configs.values():
+            config.write_bytes((files("fuselog.service") / "demo_configs" / config.name).read_bytes())
+    except OSError as error:
+        raise OutputError(folder, error.strerror or str(error)) from error
+
+
 def _fuse(log: Path, config: Path, out: Path) -> Plan:
-    config.write_bytes((files("fuselog.service") / "demo_configs" / config.name).read_bytes())
     plan = compile_plan(*load_config(config))
     with open_log(log) as opened:
         reprocess_to(opened, plan, out)

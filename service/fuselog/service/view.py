@@ -1,22 +1,21 @@
 """Runs as a Rerun recording: path, states, innovations, NIS and gains over the stamps."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from fuselog.fusion import Decision, Plan, compile_plan, parse_config
+from fuselog.fusion import Decision
 from fuselog.fusion.gate import chi_square_quantile
 from fuselog.fusion.readings import PARTS, SAME_QUANTITY
-from fuselog.fusion.tables import Role
 from fuselog.replay import Log, open_log
 from fuselog.replay.measured import BEACON, Measured, read_measured
-from fuselog.replay.results import Decisions, Results, read_results
+from fuselog.replay.results import Decisions, Results
 from fuselog.replay.truth import Truth, read_truth
-from fuselog.schemas import LogError
+from fuselog.service.errors import OutputError
+from fuselog.service.runs import Run, load_runs
 from fuselog.service.view_draw import Color, Drawing
 from fuselog.service.view_layout import Shown, layout
 
@@ -29,55 +28,20 @@ RUNS: tuple[Color, ...] = ((80, 160, 255), (255, 160, 50), (190, 120, 255), (60,
 _BOUND = 0.95  # probability of the line in a plot of NIS
 
 
-@dataclass(frozen=True, slots=True)
-class _Run:
-    """An output log, and the filter that made it."""
-
-    name: str
-    plan: Plan
-    results: Results
-    color: Color
-
-    @property
-    def states(self) -> dict[str, Floats]:
-        """The estimates (n,) by state."""
-        return dict(zip(self.results.states, self.results.x.T, strict=True))
-
-    @property
-    def numbers(self) -> list[tuple[str, str, int, Decisions]]:
-        """All measured numbers: sensor, name, column in the sensor's decisions, decisions."""
-        decided = self.results.decisions
-        sensors = [s for s in self.plan.sensors if s.role == Role.MEASURES and s.name in decided]
-        return [(s.name, name, i, decided[s.name]) for s in sensors for i, name in enumerate(s.names)]
-
-    def sd(self, state: str) -> Floats:
-        """Standard deviations (n,) of one state."""
-        return np.sqrt(self._covariances(state, state))
-
-    @property
-    def horizontal_covariance(self) -> Floats:
-        """Covariances (n, 2, 2) of x and y."""
-        xx, xy, yy = (self._covariances(*pair) for pair in (("x", "x"), ("x", "y"), ("y", "y")))
-        return np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
-
-    def _covariances(self, a: str, b: str) -> Floats:
-        n, (i, j) = len(self.results.states), sorted(self.results.states.index(name) for name in (a, b))
-        return self.results.P[:, i * n - i * (i - 1) // 2 + j - i]
-
-
 def write_recording(path: Path, *, outs: Sequence[Path], log: Path | None = None, truth: str | None = None) -> None:
     """Write a recording (.rrd) of output logs, with what was measured and true from the ``log`` they were made from.
 
     ``truth`` is a topic with poses or fixes; by default one whose name says so. All is over the timeline ``stamp``,
-    and comes with its layout. Raises ``LogError`` and ``ConfigError``.
+    and comes with its layout. Raises ``LogError``, ``ConfigError``, and ``OutputError`` where it cannot be written.
     """
-    runs = [_load(out, RUNS[i % len(RUNS)]) for i, out in enumerate(outs)]
+    runs = load_runs(outs, RUNS)
     measured: dict[str, Measured] = {}
     true = None
     if log is not None:
         with open_log(log) as opened:
             measured = read_measured(opened, runs[0].plan)
             true = _truth(opened, runs[0].results, truth)
+    _require_writable(path)
     with rr.RecordingStream("fuselog", recording_id=path.stem) as stream:
         stream.save(path, default_blueprint=layout(_shown(runs, measured, true)))
         drawing = Drawing(stream)
@@ -89,12 +53,11 @@ def write_recording(path: Path, *, outs: Sequence[Path], log: Path | None = None
         stream.flush()
 
 
-def _load(out: Path, color: Color) -> _Run:
-    results = read_results(out)
-    if "config" not in results.about:
-        raise LogError(str(out), 0, "it does not say how it was made; is it the output of fuselog reprocess?")
-    plan = compile_plan(*parse_config(results.about["config"], name=f"{out}: configuration"))
-    return _Run(out.stem, plan, results, color)
+def _require_writable(path: Path) -> None:
+    try:
+        path.open("wb").close()
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error
 
 
 def _truth(log: Log, results: Results, topic: str | None) -> Truth | None:
@@ -103,7 +66,7 @@ def _truth(log: Log, results: Results, topic: str | None) -> Truth | None:
     return None if found is None else read_truth(log, found, datum=results.datum)
 
 
-def _shown(runs: Sequence[_Run], measured: Mapping[str, Measured], true: Truth | None) -> Shown:
+def _shown(runs: Sequence[Run], measured: Mapping[str, Measured], true: Truth | None) -> Shown:
     first, states = runs[0], runs[0].plan.states
     seen = [state for state in states if any(state in sensor.values for sensor in measured.values())]
     known = [state for state in states if true is not None and _name(state) in true.values]
@@ -138,7 +101,7 @@ def _draw_truth(drawing: Drawing, true: Truth, states: Sequence[str]) -> None:
         drawing.line(f"log/truth/states/{state}", true.t_ns, values, color=TRUTH, label="truth", width=3)
 
 
-def _draw_run(drawing: Drawing, run: _Run) -> None:
+def _draw_run(drawing: Drawing, run: Run) -> None:
     at, t_ns, states = f"runs/{run.name}", run.results.t_ns, run.states
     positions = _positions(states)
     drawing.path(at, t_ns, positions, color=run.color, width=1.5)
@@ -159,7 +122,7 @@ def _draw_run(drawing: Drawing, run: _Run) -> None:
         _draw_nis(drawing, run, sensor, found)
 
 
-def _draw_nis(drawing: Drawing, run: _Run, sensor: str, found: Decisions) -> None:
+def _draw_nis(drawing: Drawing, run: Run, sensor: str, found: Decisions) -> None:
     at, refused = f"runs/{run.name}/nis/{sensor}", np.flatnonzero(found.decision != Decision.FUSED)
     drawing.dots(f"{at}/samples", found.t_ns, found.nis, color=run.color, label=run.name)
     if len(refused):
@@ -170,7 +133,7 @@ def _draw_nis(drawing: Drawing, run: _Run, sensor: str, found: Decisions) -> Non
     drawing.line(f"bounds/{sensor}/upper", ends, np.full(2, _bound(found)), color=REFUSED, label=f"{_BOUND:.0%}")
 
 
-def _span_of_state(run: _Run, measured: Mapping[str, Measured], state: str) -> tuple[float, float]:
+def _span_of_state(run: Run, measured: Mapping[str, Measured], state: str) -> tuple[float, float]:
     """What an axis should show, without the transient at the start."""
     value, reach = run.states[state], 2 * run.sd(state)
     parts = [value - reach, value + reach, *(m.values[state] for m in measured.values() if state in m.values)]
