@@ -10,7 +10,7 @@ from fuselog.fusion.events import Decision
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.rotations import quaternions_from_rpy
 from fuselog.fusion.tables import NEVER
-from fuselog.fusion.track import Track
+from fuselog.fusion.track import Track, join_tracks
 from fuselog.schemas import CdrEncoder, Messages, definition
 
 ESTIMATE, ODOMETRY, DECISION = (
@@ -41,16 +41,15 @@ class Output:
 class Outputs:
     """The topics of one filter, and its tracks as messages of them, in the order of the track.
 
-    ``<estimate>`` carries the state, at most ``output.rate`` times a second of event time; ``<estimate>/odometry`` the
-    same as a pose for models that have one; ``<estimate>/decision`` what became of every sample. Streams are numbered
-    as ``topics``. How a track is cut into batches makes no difference.
+    ``<estimate>`` carries the state after every sample that moved it, ``<estimate>/odometry`` the same as a pose for
+    models that have one, ``<estimate>/decision`` what became of every sample. Streams are numbered as ``topics``.
+    With ``output.rate``, of the estimates in a period of event time only the last is published, when the first one
+    after the period is there. How a track is cut into batches makes no difference.
     """
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        rate = plan.config.output.rate
-        self._period_ns = 1 if rate is None else max(1, round(1e9 / rate))
-        self._published = NEVER  # the last period in which an estimate was published
+        self._waiting: Track | None = None  # the estimate that the next period publishes
         base = plan.config.output.estimate.rstrip("/")
         self.topics = [Output(base, ESTIMATE), Output(f"{base}/decision", DECISION)]
         if plan.card.has_pose:
@@ -60,37 +59,49 @@ class Outputs:
         self._decisions = [_decision_encoder(s.name, s.dof, plan.config.output.frame) for s in plan.sensors]
 
     def encode(self, track: Track) -> Messages:
-        """All messages of the next rows of a track: estimate, decision, odometry of each row.
+        """The messages of the next rows of a track: estimate, decision, odometry of each row.
 
         ``log_time`` is the time of the estimate, or where nothing was estimated yet, the stamp of the sample.
         """
-        due = self._due(track)
-        jobs = [_Job(0, due, self._estimate, track.t_ns[due], _states(track, due))]
+        due, rows = self._due(track)
+        jobs = self._estimate_jobs(due, rows)
         for rank, encoder in enumerate(self._decisions):
-            rows = np.flatnonzero(track.sensor == rank)
-            values = _decision_values(track, rows, self._plan.sensors[rank].dof)
-            jobs.append(_Job(1, rows, encoder, np.clip(track.stamp_ns[rows], 0, _LAST_STAMP), values))
-        if self._odometry is not None:
-            jobs.append(_Job(2, due, self._odometry, track.t_ns[due], _odometry_values(self._plan, track, due)))
-        return _encode(jobs, np.where(track.t_ns == NEVER, np.maximum(track.stamp_ns, 0), track.t_ns))
+            mine = np.flatnonzero(track.sensor == rank)
+            values = _decision_values(track, mine, self._plan.sensors[rank].dof)
+            stamps = np.clip(track.stamp_ns[mine], 0, _LAST_STAMP)
+            times = np.where(track.t_ns[mine] == NEVER, stamps, track.t_ns[mine])
+            jobs.append(_Job(1, mine, encoder, stamps, values, times))
+        return _encode(jobs)
+
+    def finish(self) -> Messages:
+        """The estimate that still waits for the end of its period."""
+        waiting, self._waiting = self._waiting, None
+        rows = [waiting] if waiting is not None else []
+        return _encode([job for due in rows for job in self._estimate_jobs(due, np.zeros(1, np.int64))])
 
     def estimates(self, encoded: Messages) -> NDArray[np.uint8]:
         """The bytes of all estimates among the messages of ``encode``, one after the other."""
         return encoded.data[: int(encoded.length[encoded.stream == 0].sum())]
 
-    def _due(self, track: Track) -> NDArray[np.int64]:
-        """Rows whose estimate is published: the sample moved the filter, into a period without an estimate yet.
+    def _estimate_jobs(self, due: Track, rows: NDArray[np.int64]) -> list["_Job"]:
+        jobs = [_Job(0, rows, self._estimate, due.t_ns, np.concatenate([due.x, due.P], axis=1), due.t_ns)]
+        if self._odometry is not None:
+            jobs.append(_Job(2, rows, self._odometry, due.t_ns, _odometry_values(self._plan, due), due.t_ns))
+        return jobs
 
-        Without a rate a correction of the past counts too, as it changes the estimate of the same time.
-        """
+    def _due(self, track: Track) -> tuple[Track, NDArray[np.int64]]:
+        """The estimates to publish, and the row of the track at which each is published."""
         moved = np.isin(track.decision, (Decision.FUSED, Decision.GATED)) & (track.t_ns != NEVER)
         rows = np.flatnonzero(moved)
-        if self._plan.config.output.rate is None or len(rows) == 0:
-            return rows
-        period = track.t_ns[rows] // self._period_ns
-        first = period > np.append(self._published, period[:-1])
-        self._published = int(period[-1])
-        return rows[first]
+        rate = self._plan.config.output.rate
+        if rate is None or len(rows) == 0:
+            return track.take(rows), rows
+        before = [] if self._waiting is None else [self._waiting]
+        moves = join_tracks([*before, track.take(rows)])
+        period = moves.t_ns // max(1, round(1e9 / rate))
+        ends = np.flatnonzero(period[1:] != period[:-1])
+        self._waiting = moves.take(slice(len(moves) - 1, None))
+        return moves.take(ends), rows[ends + 1 - len(before)]
 
 
 _LAST_STAMP = (1 << 31) * 1_000_000_000 - 1  # the last one that builtin_interfaces/Time can hold
@@ -98,27 +109,28 @@ _LAST_STAMP = (1 << 31) * 1_000_000_000 - 1  # the last one that builtin_interfa
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """Messages of one stream and one size: the rows of the track that they belong to, and their numbers."""
+    """Messages of one stream and one size, and the rows of the track at which they are published."""
 
     stream: int
     rows: NDArray[np.int64]
     encoder: CdrEncoder
-    t_ns: NDArray[np.int64]
+    stamps: NDArray[np.int64]
     values: Floats
+    times: NDArray[np.int64]  # for the log
 
 
-def _encode(jobs: Sequence[_Job], t_ns: NDArray[np.int64]) -> Messages:
+def _encode(jobs: Sequence[_Job]) -> Messages:
     """The messages of all jobs in the order of their rows, each job's bytes in one piece of one buffer."""
-    rows = np.concatenate([job.rows for job in jobs])
-    stream = np.concatenate([np.full(len(job.rows), job.stream, np.int32) for job in jobs])
-    length = np.concatenate([np.full(len(job.rows), job.encoder.size) for job in jobs])
+    lengths = [np.full(len(job.rows), job.encoder.size) for job in jobs]
+    length = np.concatenate([np.empty(0, np.int64), *lengths])
     data, at = np.empty(int(length.sum()), np.uint8), 0
     for job in jobs:
         size = len(job.rows) * job.encoder.size
-        job.encoder.encode(job.t_ns, job.values, out=data[at : at + size])
+        job.encoder.encode(job.stamps, job.values, out=data[at : at + size])
         at += size
-    order = np.lexsort((stream, rows))
-    times = t_ns[rows[order]]
+    stream = np.repeat(np.array([job.stream for job in jobs], np.int32), [len(job.rows) for job in jobs])
+    order = np.lexsort((stream, np.concatenate([np.empty(0, np.int64), *(job.rows for job in jobs)])))
+    times = np.concatenate([np.empty(0, np.int64), *(job.times for job in jobs)])[order]
     return Messages(
         stream=stream[order],
         data=data,
@@ -126,7 +138,7 @@ def _encode(jobs: Sequence[_Job], t_ns: NDArray[np.int64]) -> Messages:
         length=length[order],
         log_time=times,
         publish_time=times,
-        sequence=np.zeros(len(rows), np.int64),
+        sequence=np.zeros(len(times), np.int64),
     )
 
 
@@ -165,21 +177,16 @@ def _decision_encoder(sensor: str, dof: int, frame: str) -> CdrEncoder:
     )
 
 
-def _states(track: Track, rows: NDArray[np.int64]) -> Floats:
-    return np.concatenate([track.x[rows], track.P[rows]], axis=1)
-
-
 def _decision_values(track: Track, rows: NDArray[np.int64], dof: int) -> Floats:
     head = [track.seq[rows] & 0xFFFFFFFF, track.decision[rows], track.nis[rows], track.dof[rows]]
     tables = [track.innovation[rows, :dof], track.innovation_variance[rows, :dof], track.absorbed[rows, :dof]]
     return np.concatenate([np.stack(head, axis=1).astype(np.float64), *tables], axis=1)
 
 
-def _odometry_values(plan: Plan, track: Track, rows: NDArray[np.int64]) -> Floats:
+def _odometry_values(plan: Plan, track: Track) -> Floats:
     """Pose, its covariance, twist, its covariance (n, 7 + 36 + 6 + 36); 0 for what the model does not estimate."""
-    x, P = track.x[rows], track.P[rows]
-    pose, pose_covariance = _group(plan.states, x, P, _POSE)
-    twist, twist_covariance = _group(plan.states, x, P, _TWIST)
+    pose, pose_covariance = _group(plan.states, track.x, track.P, _POSE)
+    twist, twist_covariance = _group(plan.states, track.x, track.P, _TWIST)
     attitude = quaternions_from_rpy(np.ascontiguousarray(pose[:, 3:]))
     return np.concatenate([pose[:, :3], attitude, pose_covariance, twist, twist_covariance], axis=1)
 

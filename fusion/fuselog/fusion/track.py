@@ -40,6 +40,11 @@ class Track:
         """The estimates (n,) of one state."""
         return self.x[:, self.states.index(state)]
 
+    def take(self, rows: slice | NDArray[np.int64]) -> "Track":
+        """Some of the rows."""
+        columns = {name: getattr(self, name)[rows] for name in Track.__slots__ if name not in ("states", "sensors")}
+        return Track(states=self.states, sensors=self.sensors, **columns)
+
     def variance(self, state: str) -> NDArray[np.float64]:
         """The variances (n,) of one state."""
         return self.P[:, packed_diagonal(len(self.states))[self.states.index(state)]]

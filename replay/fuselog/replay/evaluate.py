@@ -62,12 +62,12 @@ def evaluate(results: Results, truth: Truth) -> Evaluation:
 
 
 def _error(results: Results, truth: Truth, state: str, quantity: str) -> Floats:
-    estimate = results.x[:, results.states.index(state)]
+    estimate: Floats = results.x[:, results.states.index(state)]
     if state in ANGLES:
-        estimate = np.unwrap(estimate)
+        estimate = np.asarray(np.unwrap(estimate), np.float64)
     start = results.t_ns[0]
-    at = np.interp((truth.t_ns - start) * 1e-9, (results.t_ns - start) * 1e-9, estimate)
-    error = at - truth.values[quantity]
+    seconds, at = (results.t_ns - start) * 1e-9, (truth.t_ns - start) * 1e-9
+    error: Floats = np.interp(at, seconds, estimate) - truth.values[quantity]
     return (error + np.pi) % (2 * np.pi) - np.pi if state in ANGLES else error
 
 

@@ -1,12 +1,14 @@
 """A log through a filter, as fast as the machine allows: tracks out, and an output log when asked for."""
 
-import contextlib
 import hashlib
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from fuselog.fusion import Filter, Order, Outputs, Plan, Stream, Track, join_tracks
 from fuselog.fusion.report import estimate_json, ledger_json
@@ -14,7 +16,9 @@ from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log, open_log
 from fuselog.replay.loss import Loss
 from fuselog.replay.tracks import TrackWriter, is_output
+from fuselog.schemas import Messages
 
+_UNDER_WAY = 3  # batches of tracks that may wait to be written
 _BATCH = 4096  # messages fed at a time: what they become stays in the processor's cache
 
 Advance = Callable[[float, float], None]
@@ -75,29 +79,66 @@ def reprocess_to(
     """Run a log through a filter and write its tracks as an MCAP log; memory is bounded by a chunk of either."""
     started = time.perf_counter()
     order = order or plan.config.lag.order
-    filter, outputs, digest, messages = Filter(plan, order=order), Outputs(plan), hashlib.sha256(), 0
+    filter, messages = Filter(plan, order=order), 0
     first, last = log.time_range or (0, 0)
-    with contextlib.ExitStack() as stack:
-        writer = None if output is None else stack.enter_context(TrackWriter(output, outputs))
+    with _Sink(plan, output) as sink:
         for fed, track in run(log, filter):
             messages += fed
-            encoded = outputs.encode(track)
-            digest.update(outputs.estimates(encoded).data)
-            if writer is not None:
-                writer.write(encoded)
+            sink.take(track)
             if advance is not None and len(track):
                 advance(float(track.arrival_ns[-1] - first), float(max(last - first, 1)))
-        if writer is not None:
-            writer.describe(plan, order, filter.intake.datum)
+        digest = sink.finish(order, filter)
     return Summary(
         output=None if output is None else str(output),
         messages=messages,
         seconds=time.perf_counter() - started,
         ledger=ledger_json(filter.ledger),
         final=estimate_json(plan, filter.estimate),
-        sha256=digest.hexdigest(),
+        sha256=digest,
         losses=list(log.losses),
     )
+
+
+class _Sink:
+    """Encodes, hashes and writes tracks in a thread of its own, in order, so that the filter need not wait."""
+
+    def __init__(self, plan: Plan, output: str | Path | None) -> None:
+        self._plan = plan
+        self._outputs = Outputs(plan)
+        self._writer = None if output is None else TrackWriter(output, self._outputs)
+        self._digest = hashlib.sha256()
+        self._thread = ThreadPoolExecutor(1, "tracks")
+        self._under_way: deque[Future[None]] = deque()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._thread.shutdown(cancel_futures=True)
+        if self._writer is not None:
+            self._writer.__exit__(kind, error, trace)
+
+    def take(self, track: Track) -> None:
+        """Hand over the next rows; waits while too much is under way. Raises what writing earlier ones raised."""
+        self._under_way.append(self._thread.submit(lambda: self._put(self._outputs.encode(track))))
+        while len(self._under_way) > _UNDER_WAY:
+            self._under_way.popleft().result()
+
+    def finish(self, order: Order, filter: Filter) -> str:
+        """Write what is left, and how it was made; returns the hash of the estimates."""
+        while self._under_way:
+            self._under_way.popleft().result()
+        self._put(self._outputs.finish())
+        if self._writer is not None:
+            self._writer.describe(self._plan, order, filter.intake.datum)
+        return self._digest.hexdigest()
+
+    def _put(self, encoded: Messages) -> None:
+        self._digest.update(self._outputs.estimates(encoded).data)
+        if self._writer is not None:
+            self._writer.write(encoded)
 
 
 def stream_of(channel: Channel) -> Stream:

@@ -116,7 +116,7 @@ class OutputSettings(Settings):
     estimate: str = "fused/odom"
     frame: str = "odom"
     child: str = "base_link"
-    rate: Positive | None = Field(50.0, description="most estimates per second of event time; null: after every sample")
+    rate: Positive | None = Field(None, description="most estimates per second of event time; by default one a sample")
 
 
 class ZenohSettings(Settings):
