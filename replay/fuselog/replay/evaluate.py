@@ -67,8 +67,8 @@ def _error(results: Results, truth: Truth, state: str, quantity: str) -> Floats:
         estimate = np.asarray(np.unwrap(estimate), np.float64)
     start = results.t_ns[0]
     seconds, at = (results.t_ns - start) * 1e-9, (truth.t_ns - start) * 1e-9
-    error: Floats = np.interp(at, seconds, estimate) - truth.values[quantity]
-    return (error + np.pi) % (2 * np.pi) - np.pi if state in ANGLES else error
+    error = np.asarray(np.interp(at, seconds, estimate), np.float64) - truth.values[quantity]
+    return np.asarray((error + np.pi) % (2 * np.pi) - np.pi) if state in ANGLES else error
 
 
 def _rms(error: Floats) -> float:
