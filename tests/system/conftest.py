@@ -124,11 +124,14 @@ def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     slips = np.where(np.arange(400) % 37 == 36, 3.0, 0.0)
     angle = 0.3 * camera
     position = np.stack([np.sin(angle), 1 - np.cos(angle)], axis=1) / 0.3
+    rate = 0.3 + 0.02 * random.normal(size=2000)
+    speed = 1 + 0.05 * random.normal(size=400) + slips
+    seen = position + 0.1 * random.normal(size=(100, 2))
     streams = [
-        ("/imu/data", "sensor_msgs/msg/Imu", ["angular_velocity.z"], imu, 0.004, 0.3 + 0.02 * random.normal(size=2000)),
-        ("/odom", "nav_msgs/msg/Odometry", ["twist.twist.linear.x"], wheels, 0.002, 1 + 0.05 * random.normal(size=400) + slips),
-        ("/camera/pose", "geometry_msgs/msg/PoseStamped", ["pose.position.x", "pose.position.y"], camera, 0.2, position + 0.1 * random.normal(size=(100, 2))),
-    ]  # fmt: skip
+        ("/imu/data", "sensor_msgs/msg/Imu", ["angular_velocity.z"], imu, 0.004, rate),
+        ("/odom", "nav_msgs/msg/Odometry", ["twist.twist.linear.x"], wheels, 0.002, speed),
+        ("/camera/pose", "geometry_msgs/msg/PoseStamped", ["pose.position.x", "pose.position.y"], camera, 0.2, seen),
+    ]
     path = tmp_path_factory.mktemp("small") / "small.mcap"
     write_log(path, streams)
     return path

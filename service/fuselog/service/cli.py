@@ -11,7 +11,8 @@ import typer
 from fuselog.schemas.errors import ConfigError, FuselogError
 
 OK, FAILED, USAGE, LOSSY, INTERRUPTED = 0, 1, 2, 3, 130
-COMMANDS = ("demo", "simulate", "check", "info", "reprocess", "play", "serve", "evaluate", "view", "warm_up")  # in the order of the help
+# In the order of the help.
+COMMANDS = ("demo", "simulate", "check", "info", "reprocess", "play", "serve", "evaluate", "view", "warm_up")
 
 
 def make_app() -> typer.Typer:

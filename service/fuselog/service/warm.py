@@ -2,21 +2,47 @@
 
 import numpy as np
 
-from fuselog.fusion import Filter, Outputs, Plan
-from fuselog.schemas import Messages
+from fuselog.fusion import Filter, Outputs, Plan, Stream, compile_plan, parse_config
+from fuselog.fusion.intake import Intake
+from fuselog.schemas import CdrEncoder, Messages, definition
+
+_KIND = "geometry_msgs/msg/PoseStamped"
+_SIMPLEST = """\
+fuselog: 1
+model: {name: constant_velocity}
+sensors:
+  any: {topic: any, fuse: [x], noise: {x: 1}}
+"""
 
 
 def warm_up(plan: Plan) -> None:
     """Compile the kernels of a plan, or load them from the cache: no sample and no result waits for it later."""
-    integers = np.empty(0, np.int64)
-    nothing = Messages(
-        stream=np.empty(0, np.int32),
-        data=np.empty(0, np.uint8),
-        start=integers,
-        length=integers,
-        log_time=integers,
-        publish_time=integers,
-        sequence=integers,
-    )
-    track = Filter(plan, order="as_received").feed(nothing)
+    _decode_one()
+    track = Filter(plan, order="as_received").feed(_messages([]))
     Outputs(plan).encode(track)
+
+
+def _decode_one() -> None:
+    """Decoding and binding are one kernel each, whatever the type and the model; any sample compiles them."""
+    intake = Intake(compile_plan(*parse_config(_SIMPLEST)))
+    text = definition(_KIND)
+    stream = Stream(topic="any", encoding="cdr", schema_name=_KIND, schema_encoding="ros2msg", schema_text=text)
+    intake.open(0, stream)
+    payload, _ = CdrEncoder(_KIND, text, columns=["pose.position.x"]).encode(np.ones(1, np.int64), np.ones((1, 1)))
+    intake.take(_messages([payload.tobytes()]))
+
+
+def _messages(payloads: list[bytes]) -> Messages:
+    """Messages of stream 0, in read-only memory as those of Zenoh are."""
+    n = len(payloads)
+    length = np.array([len(payload) for payload in payloads], np.int64)
+    times = np.ones(n, np.int64)
+    return Messages(
+        stream=np.zeros(n, np.int32),
+        data=np.frombuffer(b"".join(payloads), np.uint8),
+        start=np.cumsum(length) - length,
+        length=length,
+        log_time=times,
+        publish_time=times,
+        sequence=times,
+    )
