@@ -1,5 +1,6 @@
 """Messages and logs made of numbers: what sensors send, encoded as they would."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -52,7 +53,7 @@ class Topic(NamedTuple):
 def _column(values: Any, n: int) -> np.ndarray:
     """(n, width) of a value for all, a value each, or a row each."""
     array = np.asarray(values, float)
-    array = array.reshape(len(array), -1) if array.ndim else array.reshape(1, 1)
+    array = array.reshape(len(array), math.prod(array.shape[1:])) if array.ndim else array.reshape(1, 1)
     return np.broadcast_to(array, (n, array.shape[1]))
 
 

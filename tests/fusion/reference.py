@@ -105,6 +105,9 @@ class Ekf:
 
 def observe(motion: Motion, x: Array, what: Sequence[str], place: Place) -> tuple[Array, Array]:
     """h(x) and H = dh/dx of the named states or quantities."""
+    if all(name in motion.names for name in what):
+        index = [motion.names.index(name) for name in what]
+        return x[index], np.eye(len(x))[index]
 
     def h(v):
         return measure(motion, v, what, place)
@@ -114,8 +117,7 @@ def observe(motion: Motion, x: Array, what: Sequence[str], place: Place) -> tupl
 
 def measure(motion: Motion, x, what: Sequence[str], place: Place):
     """h(x) alone."""
-    direct = all(name in motion.names for name in what)
-    body = None if direct else motion.body(x)
+    body = motion.body(x)
     return np.array(
         [x[motion.names.index(name)] if name in motion.names else derived(body, name, place) for name in what]
     )
