@@ -168,7 +168,8 @@ def _sensor(sensor: SensorPlan, account: Account, window: Window, losses: Losses
 
 def _lost(account: Account, losses: Losses) -> list[str]:
     reasons = [] if account.balanced else ["the ledger does not balance"]
-    reasons += [f"{losses.unknown} samples of unusable type: {losses.reason}"] if losses.unknown else []
+    why = f": {losses.reason}" if losses.reason else ""
+    reasons += [f"{losses.unknown} samples of unusable type{why}"] if losses.unknown else []
     reasons += [f"{losses.shed} samples shed: the filter cannot keep up"] if losses.shed else []
     reasons += [f"{losses.missed} samples missed on the way here"] if losses.missed else []
     return reasons

@@ -32,7 +32,7 @@ def make_app() -> typer.Typer:
 
 
 def main() -> None:
-    """Run the command line; exit codes: 0 ok, 1 failed, 2 usage or config, 3 finished with data loss, 130 interrupted."""
+    """Run the command line; exits 0 ok, 1 failed, 2 usage or config, 3 finished with data loss, 130 interrupted."""
     try:
         make_app()()
     except ConfigError as error:
@@ -49,7 +49,7 @@ def _report(error: FuselogError, code: int) -> int:
     return code
 
 
-def _print_version(wanted: bool) -> None:  # noqa: FBT001  typer calls it by position
+def _print_version(wanted: bool) -> None:
     if wanted:
         sys.stdout.write(f"fuselog {version('fuselog')}\n")
         raise typer.Exit

@@ -1,0 +1,98 @@
+"""Samples into batches: which stream, whose numbering, what is missed, and when the type is asked for again."""
+
+from typing import Any, cast
+
+import numpy as np
+import zenoh
+
+from fuselog.service.inbox import Arrival
+from fuselog.service.sources import Progress, Sources
+from fuselog.service.wire import Tag, write_tag
+
+A, B = b"a" * 16, b"b" * 16
+S = 1_000_000_000
+
+
+class Bytes(bytes):
+    """As much of Zenoh's bytes as is used."""
+
+    def to_bytes(self) -> bytes:
+        return bytes(self)
+
+
+class Sample:
+    """As much of Zenoh's sample as is used."""
+
+    def __init__(self, payload: bytes, media: str, attachment: bytes | None) -> None:
+        self.payload = Bytes(payload)
+        self.encoding = media
+        self.attachment = None if attachment is None else Bytes(attachment)
+
+
+def arrival(key: int, payload: bytes, tag: Tag | None = None, *, media: str = "good", at_ns: int = 5 * S) -> Arrival:
+    """A sample as the inbox hands it over."""
+    sample = Sample(payload, media, None if tag is None else write_tag(tag))
+    return Arrival(key, cast(zenoh.Sample, cast(Any, sample)), at_ns)
+
+
+def identify(key: str, media: str) -> int | str:
+    """Key ``k0`` is stream 7, ``k1`` is 8; a bad type is a reason."""
+    return 7 + int(key[1:]) if media == "good" else f"{media} is not known"
+
+
+def test_batch_in_order_of_arrival() -> None:
+    """Streams, payloads and times; the publisher's time counts, else that of arrival."""
+    sources = Sources(["k0", "k1"], identify)
+    batch = sources.batch([arrival(1, b"one", Tag(1, 3 * S, A)), arrival(0, b""), arrival(1, b"two", Tag(2, -4, A))])
+    assert batch.stream.tolist() == [8, 7, 8]
+    assert [batch.data[s : s + n].tobytes() for s, n in zip(batch.start, batch.length, strict=True)] == [
+        b"one",
+        b"",
+        b"two",
+    ]
+    assert batch.log_time.tolist() == [3 * S, 5 * S, 5 * S]
+    assert batch.sequence.tolist() == [1, 0, 2]
+    assert batch.stream.dtype == np.int32
+
+
+def test_no_samples() -> None:
+    """An empty batch is a batch."""
+    assert len(Sources(["k0"], identify).batch([])) == 0
+
+
+def test_each_publisher_counts_for_itself() -> None:
+    """Gaps are missed; joining in the middle, starting anew and untagged samples are not."""
+    sources = Sources(["k0"], identify)
+    for sequence, source in ((5, A), (6, A), (1, B), (10, A), (2, B), (9, A), (11, A)):
+        sources.batch([arrival(0, b"x", Tag(sequence, S, source))])
+    sources.batch([arrival(0, b"x")])
+    assert sources.missed == [3]
+    assert sources.progress() == {
+        A.hex(): {"k0": Progress(received=5, missed=3)},
+        B.hex(): {"k0": Progress(received=2, missed=0)},
+        "": {"k0": Progress(received=1, missed=0)},
+    }
+
+
+def test_unknown_types_are_counted_and_asked_again() -> None:
+    """Not at every sample, but after two seconds: the publisher's description may come later than its samples."""
+    asked: list[str] = []
+
+    def later(_: str, media: str) -> int | str:
+        asked.append(media)
+        return "not known" if len(asked) < 2 else 0
+
+    sources = Sources(["k0"], later)
+    for at_ns in (10 * S, 11 * S, 12 * S):
+        assert len(sources.batch([arrival(0, b"x", at_ns=at_ns)])) == 0
+    assert (sources.unknown, sources.reasons, len(asked)) == ([3], ["not known"], 1)
+    assert len(sources.batch([arrival(0, b"x", at_ns=13 * S)])) == 1
+    assert (sources.unknown, sources.reasons, len(asked)) == ([3], [""], 2)
+
+
+def test_sources_are_bounded() -> None:
+    """Ever new publishers do not fill the memory."""
+    sources = Sources(["k0"], identify)
+    for number in range(5000):
+        sources.batch([arrival(0, b"x", Tag(1, S, number.to_bytes(16, "little")))])
+    assert len(sources.progress()) == 4096
