@@ -74,10 +74,11 @@ def free_port() -> int:
 
 
 def live_config(folder: Path, text: str) -> tuple[Path, str, int]:
-    """A configuration on free ports: file, Zenoh endpoint, port for HTTP."""
+    """A configuration on free ports, unless it says where it is: file, Zenoh endpoint, port for HTTP."""
     endpoint, port = f"tcp/127.0.0.1:{free_port()}", free_port()
     path = folder / f"live-{port}.yaml"
-    path.write_text(f"{text}\nzenoh: {{listen: [{endpoint}]}}\nhttp: {{port: {port}}}\n")
+    where = "" if "zenoh:" in text else f"zenoh: {{listen: [{endpoint}]}}\n"
+    path.write_text(f"{text}\n{where}http: {{port: {port}}}\n")
     return path, endpoint, port
 
 

@@ -13,7 +13,7 @@ import zenoh
 from fuselog.replay import open_log
 from fuselog.service.transport import Endpoints, open_session
 
-from .conftest import EXAMPLES, UNICYCLE, Service, run
+from .conftest import EXAMPLES, UNICYCLE, Service, free_port, run
 
 Serve = Callable[[str], Service]
 
@@ -95,3 +95,15 @@ def test_two_plays_and_a_part(serve: Serve, small_log: Path) -> None:
     imu = service.get("/api/v1/filters/small/health")["sensors"]["imu"]
     assert imu["losses"]["missed"] == 0
     assert imu["account"]["received"] == 2000 + second["sent"]["/imu/data"]
+
+
+def test_through_a_router(serve: Serve, small_log: Path) -> None:
+    """Service and player as clients of a router: the configuration is enough for both to find it."""
+    router = f"tcp/127.0.0.1:{free_port()}"
+    with open_session(Endpoints(mode="router", listen=[router]), timeout_s=10):
+        service = serve(f"{UNICYCLE}zenoh: {{mode: client, connect: [{router}]}}")
+        report = played(small_log, service, "--fast")
+        assert report["processed"] == report["sent"]
+        account = service.get("/api/v1/filters/small/health")["sensors"]["imu"]["account"]
+        assert account["received"] == 2000
+        assert service.end()[0] == 0

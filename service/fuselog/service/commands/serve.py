@@ -24,6 +24,7 @@ def serve(
     """
     from fuselog.fusion import compile_plan, load_config  # noqa: PLC0415  slow to import
     from fuselog.service.serving import serve as run  # noqa: PLC0415  slow to import
+    from fuselog.service.transport import service_endpoints  # noqa: PLC0415  slow to import
 
     plan = compile_plan(*load_config(config))
     stop = threading.Event()
@@ -35,7 +36,8 @@ def serve(
 
     signal.signal(signal.SIGTERM, end)
     signal.signal(signal.SIGINT, end)
-    where = ", ".join([*plan.config.zenoh.listen, *plan.config.zenoh.connect])
+    at = service_endpoints(plan.config.zenoh)
+    where = ", ".join([*at.listen, *at.connect])
     run(
         plan,
         stop=stop,
