@@ -4,6 +4,7 @@ from typing import Literal
 
 import numpy as np
 
+from fuselog.fusion.clock import ClockGuard
 from fuselog.fusion.engine import Engine, Estimate
 from fuselog.fusion.events import Decision, Events, blank_events
 from fuselog.fusion.intake import Intake
@@ -20,18 +21,20 @@ class Filter:
     """One filter fed with raw messages in arrival order.
 
     ``as_received`` gives a row at once for every sample, as the live service publishes it, rewinding for late ones.
-    ``by_stamp`` holds samples for the lag window and gives rows in stamp order. Both end in the same state, bit by bit.
+    ``by_stamp`` holds samples for the lag window and gives rows in stamp order. Both end in the same state, to the last bit.
     """
 
     def __init__(self, plan: Plan, *, order: Order) -> None:
         self.plan = plan
         self.intake = Intake(plan)
         self._order = StampOrder(plan.tables.window_ns, plan.tables.M) if order == "by_stamp" else None
+        self._clock = ClockGuard(round(plan.config.lag.max_step * 1e9))
         self._engine = Engine(plan)
 
     def feed(self, messages: Messages) -> Track:
         """Take a batch; returns the rows that it settled."""
         events, levers = self.intake.take(messages)
+        self._clock.mark(events)
         for rank, lever in levers.items():
             self._engine.place(rank, lever)
         return self._engine.advance(events if self._order is None else self._order.push(events))

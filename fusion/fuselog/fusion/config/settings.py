@@ -65,6 +65,9 @@ class LagSettings(Settings):
     """How late a sample may be and still be fused at its own time."""
 
     window: Annotated[Seconds, Field(ge=0, le=3600)] = 1.0
+    max_step: Annotated[Seconds, Field(gt=0, le=86400)] = Field(
+        60.0, description="a stamp further ahead of the newest is a wrong clock, until others in a row agree with it"
+    )
     order: Literal["by_stamp", "as_received"] = Field(
         "by_stamp", description="reprocess: rows in stamp order, or as the live service published them"
     )
