@@ -115,10 +115,10 @@ def gated(model: str) -> dict:
 @pytest.mark.parametrize("model", MODELS)
 def test_optimal_gain_with_gates(model: str) -> None:
     plan = setup(model, sensors=gated(model))
-    track = assert_agrees(plan, random_samples(model, 2000, seed=1))
+    track = assert_agrees(plan, random_samples(model, 1200, seed=1))
     counts = np.bincount(track.decision, minlength=10)
-    assert counts[Decision.GATED] > 20
-    assert counts[Decision.FUSED] + counts[Decision.GATED] == 2000
+    assert counts[Decision.GATED] > 10
+    assert counts[Decision.FUSED] + counts[Decision.GATED] == 1200
 
 
 def weights_of(model: str) -> dict[str, float]:
@@ -151,7 +151,7 @@ def test_absorbed_shares(model: str, reference: str) -> None:
     plan = setup(model, sensors=gated(model), gain=gain)
     used = scales if reference == "scales" else None
     gains = {sensor: share(weights, sensor, used) for sensor in MEASURED[model]}
-    count = 150 if (model, reference) == ("omni3d", "scales") else 1000  # ranges alone do not hold an attitude
+    count = 150 if (model, reference) == ("omni3d", "scales") else 500  # ranges alone do not hold an attitude
     assert_agrees(plan, random_samples(model, count, seed=2), gains, tolerance=1e-7)
 
 
@@ -190,11 +190,11 @@ def test_bezmens_table() -> None:
 def test_covariance_stays_symmetric_and_positive(model: str) -> None:
     """Over many steps with gates: the smallest eigenvalue never falls below what rounding explains."""
     plan = setup(model, sensors=gated(model), lag={"window": 0})
-    count = 4_000 if model == "omni3d" else 8_000
+    count = 2_000 if model == "omni3d" else 3_000
     engine, samples = Engine(plan), random_samples(model, count, seed=9)
     events, N = events_of(plan, samples), len(plan.states)
     duration = samples[-1].t_ns
-    for turn in range(3):  # the same path again and again, at later times
+    for turn in range(10):  # the same path again and again, at later times
         track = engine.advance(_later(events, turn * duration, turn * count))
         P = np.array([unpack(row, N) for row in track.P[:: 1 if N < 10 else 4]])
         smallest = np.linalg.eigvalsh(P)[:, 0]

@@ -128,7 +128,7 @@ def test_a_topic_of_another_type(tmp_path: Path, config: Path) -> None:
     assert_one_line(reprocess(logged(tmp_path, straight()), config), 2, "not nav_msgs/msg/Odometry")
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("share", [0.1, 0.6, 0.999])
 def test_a_log_cut_off(tmp_path: Path, config: Path, share: float) -> None:
     """What is there is fused; what is missing is told, with the place."""
     log = logged(tmp_path, straight(), chunk_bytes=1 << 13)
@@ -144,7 +144,7 @@ def test_a_log_cut_off(tmp_path: Path, config: Path, share: float) -> None:
         assert result.account["fused"] > 0
 
 
-@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
+@pytest.mark.parametrize("share", [0.2, 0.9])
 def test_a_flipped_bit(tmp_path: Path, config: Path, share: float) -> None:
     """One chunk of many is lost, and told."""
     log = logged(tmp_path, straight(), chunk_bytes=1 << 13)
