@@ -111,7 +111,7 @@ def main() -> None:
                 found[order].append(_measure(log, order, Path(folder) / "out.mcap", ""))
         for order, rows in found.items():
             rates = sorted(row[0] / row[1] for row in rows)
-            best, median = rates[-1], rates[len(rates) // 2]
+            best, median = rates[-1], float(np.median(rates))
             cpu, memory, size = (f(row[k] for row in rows) for f, k in ((min, 2), (max, 3), (max, 4)))
             print(f"{order:<12} {best:>11,.0f} {median:>9,.0f} {cpu:>7.2f} {memory:>8.0f} {size:>10.0f}")
         print(f"goals: {GOAL_RATE:,.0f} messages per second, {GOAL_MEMORY} MB")
