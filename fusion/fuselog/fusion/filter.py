@@ -21,7 +21,7 @@ class Filter:
     """One filter fed with raw messages in arrival order.
 
     ``as_received`` gives a row at once for every sample, as the live service publishes it, rewinding for late ones.
-    ``by_stamp`` holds samples for the lag window and gives rows in stamp order. Both end in the same state, to the last bit.
+    ``by_stamp`` holds samples for the lag window and gives rows in stamp order. Both end in one state, bit for bit.
     """
 
     def __init__(self, plan: Plan, *, order: Order) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fuselog.fusion.bind import Binder, make_binder, without_noise
 from fuselog.fusion.config import Problem, did_you_mean
 from fuselog.fusion.events import Decision, Events, blank_events, join
-from fuselog.fusion.mounts import IDENTITY, Mount, StaticTransforms, configured_mount
+from fuselog.fusion.mounts import IDENTITY, Mount, StaticTransforms, check_transforms, configured_mount
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.readings import PARTS, Shape, sensor_parts
 from fuselog.fusion.sensors import SensorPlan
@@ -107,13 +107,18 @@ class Intake:
             raise self._plan.source.complain(missing)
 
     def open(self, number: int, stream: Stream) -> bool:
-        """Prepare for a stream; False when nothing uses it. Raises ``ConfigError`` when a sensor cannot use it."""
+        """Prepare for a stream; False when nothing uses it.
+
+        Raises ``ConfigError`` when a sensor cannot use it, ``SchemaError`` for static transforms of another type.
+        """
         topic = same_topic(stream.topic)
-        if topic == same_topic(TF_STATIC):
-            self._tf_streams[number] = stream
         fed = [feed for feed in self._feeds if same_topic(feed.sensor.settings.topic) == topic]
-        for feed in fed:
-            feed.taps[number] = self._tap(feed.sensor, stream)
+        taps = [self._tap(feed.sensor, stream) for feed in fed]
+        for feed, tap in zip(fed, taps, strict=True):
+            feed.taps[number] = tap
+        if topic == same_topic(TF_STATIC):
+            check_transforms(stream)
+            self._tf_streams[number] = stream
         return bool(fed) or number in self._tf_streams
 
     def take(self, messages: Messages) -> Taken:

@@ -51,12 +51,8 @@ class StaticTransforms:
         """Take the transforms of a TFMessage; those that are not finite, or not rotations, are passed over."""
         number = stream.codec(["transforms[]"]).decode(data, start, length)["transforms[]"][0]
         for n in range(int(number) if np.isfinite(number) else 0):
-            at = f"transforms[{n}]"
-            names = [f"{at}.header.frame_id", f"{at}.child_frame_id"]
-            lever = [f"{at}.transform.translation.{axis}" for axis in "xyz"]
-            turn = [f"{at}.transform.rotation.{axis}" for axis in "xyzw"]
-            columns = stream.codec([*names, *lever, *turn]).decode(data, start, length)
-            parent, child = (columns.texts[name][0].lstrip("/") for name in names)
+            columns = stream.codec(_fields(n)).decode(data, start, length)
+            parent, child = (columns.texts[name][0].lstrip("/") for name in _fields(n)[:2])
             values = columns.values[0]
             if np.all(np.isfinite(values)) and np.any(values[3:]):
                 self.parents[child] = parent, Mount(values[:3].copy(), values[3:].copy())
@@ -73,6 +69,19 @@ class StaticTransforms:
             lever = step.lever + step.matrix @ lever
             turn = _product(step.quaternion, turn)
         return None
+
+
+def check_transforms(stream: Stream) -> None:
+    """Raise ``SchemaError`` unless the stream carries messages with the fields of tf2_msgs/msg/TFMessage."""
+    stream.codec(["transforms[]", *_fields(0)])
+
+
+def _fields(n: int) -> list[str]:
+    """Parent and child frame, translation and rotation of transform n of a TFMessage."""
+    at = f"transforms[{n}]"
+    lever = [f"{at}.transform.translation.{axis}" for axis in "xyz"]
+    turn = [f"{at}.transform.rotation.{axis}" for axis in "xyzw"]
+    return [f"{at}.header.frame_id", f"{at}.child_frame_id", *lever, *turn]
 
 
 def _product(p: Floats, q: Floats) -> Floats:

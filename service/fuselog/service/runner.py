@@ -74,6 +74,7 @@ class Runner:
             if stale and (not arrivals or self.heartbeat - looked > _LOOK_EVERY_S):
                 self.snapshot, looked, stale = self._look(), self.heartbeat, False
             if stopping and not arrivals:
+                self._outbox.offer(self._outputs.finish())
                 return
 
     def _look(self) -> Snapshot:

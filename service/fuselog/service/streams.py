@@ -66,17 +66,11 @@ class Streams:
         try:
             stream = told[0] if told else _known(key, encoding or "cdr", name or self._types.get(key, ""))
             if stream not in self._numbers:
-                self._check(stream)
+                self._intake.open(len(self._numbers), stream)
                 self._numbers[stream] = len(self._numbers)
         except FuselogError as error:
             return str(error)
         return self._numbers[stream]
-
-    def _check(self, stream: Stream) -> None:
-        """Open the stream; raises ``ConfigError`` or ``SchemaError`` when it cannot be used."""
-        if same_topic(stream.topic) == same_topic(TF_STATIC):
-            stream.codec(["transforms[]", "transforms[0].child_frame_id", "transforms[0].transform.rotation.w"])
-        self._intake.open(len(self._numbers), stream)
 
 
 def _known(key: str, encoding: str, name: str) -> Stream:

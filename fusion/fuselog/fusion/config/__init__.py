@@ -1,6 +1,15 @@
 """Configuration: what it may say, and reading it with a place for every problem."""
 
-from fuselog.fusion.config.settings import Config, SensorSettings
+from fuselog.fusion.config.settings import Config, SensorSettings, ZenohSettings
 from fuselog.fusion.config.source import Problem, Source, did_you_mean, load_config, parse_config
 
-__all__ = ["Config", "Problem", "SensorSettings", "Source", "did_you_mean", "load_config", "parse_config"]
+__all__ = [
+    "Config",
+    "Problem",
+    "SensorSettings",
+    "Source",
+    "ZenohSettings",
+    "did_you_mean",
+    "load_config",
+    "parse_config",
+]
