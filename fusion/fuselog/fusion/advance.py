@@ -30,7 +30,7 @@ def advance_all(tables: Tables, history: History, work: Work, events: Samples, s
             history.counts[sensor * DECISIONS + decision] += 1
         else:
             insert(tables, history, events, e, at)
-            replay(tables, history, work, at)
+            replay(tables, history, work, cycle_start(tables, history, at))
             decision = history.decision[at]
             forget(tables, history)
         write(tables, history, at, decision, rows, e)
@@ -81,11 +81,14 @@ def after(history: History, k: int, t: int, sensor: int, seq: int) -> bool:
 
 @inline
 def same(tables: Tables, history: History, k: int, events: Samples, e: int) -> bool:
-    """Whether entry k holds the same numbers as sample e."""
+    """Whether entry k holds the same numbers, and the same covariance, as sample e."""
     width = tables.M + SAMPLE_WIDTH
     equal = True
     for i in range(width):
         equal &= history.z[k * width + i] == events.z[e * width + i]
+    rows = tables.rows[events.sensor[e]]
+    for i in range(rows * rows):
+        equal &= history.R[k * tables.M * tables.M + i] == events.R[e * tables.M * tables.M + i]
     return equal
 
 
@@ -115,6 +118,15 @@ def replay(tables: Tables, history: History, work: Work, start: int) -> None:
         if before != UNDECIDED:
             history.counts[ledger + before] -= 1
         history.counts[ledger + history.decision[k]] += 1
+
+
+@inline
+def cycle_start(tables: Tables, history: History, at: int) -> int:
+    """The first entry to make anew: with Bezmen's weights that of the same stamp, as samples of a cycle share them."""
+    start = at
+    while tables.cycles and start - 1 > history.cursor[0] and history.t[start - 1] == history.t[at]:
+        start -= 1
+    return start
 
 
 @inline

@@ -43,6 +43,7 @@ class Recipe(NamedTuple):
     covariance: Ints  # (slots, slots) column of each entry
     pick: Ints  # (m,) slot of each fused number
     extra: Ints  # (SAMPLE_WIDTH,) columns of what comes with a sample
+    status: Ints  # columns of which each must not be negative
     variance: Floats  # (m,) that takes the place of the message's; NaN to keep it
     floor: Floats  # (m,) least variance
     scale: Floats  # (m,)
@@ -87,6 +88,8 @@ def make_binder(sensor: SensorPlan, parts: Sequence[Part]) -> Binder:
         for axis in "xyz":
             extra["xyz".index(axis)] = len(fields)
             fields.append(f"{settings.beacon or 'beacon_position'}.{axis}")
+    status = [part.status for part in parts if part.status is not None]
+    fields += status
     recipe = Recipe(
         shape=np.array([part.shape for part in parts], np.int64),
         column=np.array(columns, np.int64),
@@ -95,6 +98,7 @@ def make_binder(sensor: SensorPlan, parts: Sequence[Part]) -> Binder:
         covariance=covariance,
         pick=np.array([names.index(name) for name in sensor.names], np.int64),
         extra=np.array(extra, np.int64),
+        status=np.arange(len(fields) - len(status), len(fields)),
         variance=np.array([settings.noise.get(name, math.nan) ** 2 for name in sensor.names]),
         floor=np.array([settings.noise_floor.get(name, 0.0) ** 2 for name in sensor.names]),
         scale=np.array([settings.scale.get(name, 1.0) for name in sensor.names]),
@@ -162,6 +166,9 @@ def bind_rows(
         for i in range(SAMPLE_WIDTH):
             if recipe.extra[i] >= 0:
                 z[row, M + i] = values[n, recipe.extra[i]]
+        for column in recipe.status:
+            if not values[n, column] >= 0.0:
+                z[row, 0] = math.nan
         fault[row] = judge(t_ns[row], z[row], R[row], m, L)
 
 
@@ -231,7 +238,7 @@ def noise(recipe: Recipe, i: int, j: int, entry: float) -> float:
     if i == j:
         own = recipe.variance[i]
         variance = entry * recipe.inflate if math.isnan(own) else own
-        if 0.0 < variance < recipe.floor[i]:
+        if 0.0 <= variance < recipe.floor[i]:
             variance = recipe.floor[i]
         return variance * recipe.scale[i] ** 2 if math.isnan(own) else variance
     if math.isnan(recipe.variance[i]) and math.isnan(recipe.variance[j]):

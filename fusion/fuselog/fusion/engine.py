@@ -156,9 +156,9 @@ def _work(kernel: ModuleType, M: int) -> Work:
         L=np.zeros(M * M),
         y=np.zeros(M),
         nu=np.zeros(M),
-        hv=np.zeros(M * kernel.WIDTH),
-        hi=np.zeros(M * kernel.WIDTH, np.int64),
-        hn=np.zeros(M, np.int64),
+        hv=np.zeros((M + 1) * kernel.WIDTH),
+        hi=np.zeros((M + 1) * kernel.WIDTH, np.int64),
+        hn=np.zeros(M + 1, np.int64),
         active=np.zeros(M, np.int64),
     )
 

@@ -222,11 +222,13 @@ class Intake:
         for number, tap in ((n, t) for feed in self._feeds for n, t in feed.taps.items() if t.binder.needs_datum):
             index = np.flatnonzero(messages.stream == number)
             part = next(part for part in PARTS[tap.stream.schema_name] if part.shape == Shape.GEODETIC)
-            fixes = tap.stream.codec(part.fields).decode(messages.data, messages.start[index], messages.length[index])
-            good = np.flatnonzero(np.isfinite(fixes.values).all(axis=1) & (fixes.fault == Fault.NONE))
+            fields = [*part.fields, *([part.status] if part.status is not None else [])]
+            fixes = tap.stream.codec(fields).decode(messages.data, messages.start[index], messages.length[index])
+            usable = np.isfinite(fixes.values).all(axis=1) & (fixes.values[:, 3:] >= 0).all(axis=1)
+            good = np.flatnonzero(usable & (fixes.fault == Fault.NONE))
             if len(good) and index[good[0]] < first:
                 first = int(index[good[0]])
-                self._datum = fixes.values[good[0]].copy()
+                self._datum = fixes.values[good[0], :3].copy()
 
 
 def _configured_datum(plan: Plan) -> Floats:

@@ -65,7 +65,7 @@ def compile_plan(config: Config, source: Source) -> Plan:
         what=_table([[what for what, _ in r] for r in rows], M, np.int64),
         seed=_table([[seed for _, seed in r] for r in rows], M, np.int64),
         angle=_table([sensor.angles for sensor in sensors], M, np.uint8),
-        threshold=np.array([_threshold(sensor) for sensor in sensors]),
+        threshold=np.array([_thresholds(sensor, M) for sensor in sensors]).ravel(),
         sensor=np.array([_place(sensor, config) for sensor in sensors]).ravel(),
         q=np.array([config.model.process_noise.get(name, default) for name, default in card.noise.items()]),
         window_ns=round(config.lag.window * 1e9),
@@ -128,10 +128,11 @@ def _quantity(settings: SensorSettings, name: str) -> str | None:
     return None
 
 
-def _threshold(sensor: SensorPlan) -> float:
+def _thresholds(sensor: SensorPlan, most: int) -> list[float]:
+    """The gate for 1, 2, ... ``most`` numbers; fewer than all take part while others start the filter."""
     if sensor.settings.gate is None or sensor.role != Role.MEASURES:
-        return np.inf
-    return chi_square_quantile(sensor.settings.gate, sensor.dof)
+        return [np.inf] * most
+    return [chi_square_quantile(sensor.settings.gate, dof) for dof in range(1, most + 1)]
 
 
 def _place(sensor: SensorPlan, config: Config) -> list[float]:

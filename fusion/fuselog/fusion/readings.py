@@ -1,7 +1,7 @@
 """What messages say: which numbers of a message type carry which named quantity, and where their covariance is."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from types import MappingProxyType
 
@@ -38,6 +38,7 @@ class Part:
     shape: Shape
     fields: tuple[str, ...]
     covariance: Covariance | None = None
+    status: str | None = None  # path of a number that is negative when the part means nothing
 
 
 _XYZ, _RPY = ("x", "y", "z"), ("roll", "pitch", "yaw")
@@ -79,7 +80,9 @@ PARTS: Mapping[str, tuple[Part, ...]] = MappingProxyType(
             _vector(_W, "angular_velocity", Covariance("angular_velocity_covariance", 3, 0)),
             _vector(_A, "linear_acceleration", Covariance("linear_acceleration_covariance", 3, 0)),
         ),
-        "sensor_msgs/msg/NavSatFix": (Part(_XYZ, Shape.GEODETIC, _GEODETIC, Covariance("position_covariance", 3, 0)),),
+        "sensor_msgs/msg/NavSatFix": (
+            Part(_XYZ, Shape.GEODETIC, _GEODETIC, Covariance("position_covariance", 3, 0), "status.status"),
+        ),
         "sensor_msgs/msg/Range": (Part(("range",), Shape.SCALAR, ("range",)),),
     }
 )
@@ -94,7 +97,7 @@ def sensor_parts(sensor: SensorSettings, names: tuple[str, ...], message_type: s
     for part in PARTS.get(message_type, ()) if wanted else ():
         renamed = tuple(next((w for w in wanted if SAME_QUANTITY.get(w, w) == n), n) for n in part.names)
         if set(renamed) & set(wanted):
-            parts.append(Part(renamed, part.shape, part.fields, part.covariance))
+            parts.append(replace(part, names=renamed))
             wanted = [name for name in wanted if name not in renamed]
     if wanted:
         gives = [name for part in PARTS.get(message_type, ()) for name in part.names]

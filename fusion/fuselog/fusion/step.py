@@ -45,7 +45,7 @@ def step(tables: Tables, history: History, work: Work, k: int) -> None:
     sensor = history.sensor[k]
     role = tables.role[sensor]
     M = tables.M
-    history.nis[k], history.dof[k] = 0.0, 0
+    history.nis[k], history.dof[k] = math.nan, 0
     for i in range(M):
         history.nu[k * M + i] = math.nan
         history.S[k * M + i] = math.nan
@@ -98,7 +98,7 @@ def correct(tables: Tables, history: History, work: Work, k: int, sensor: int) -
         return BAD_COVARIANCE
     nis = mahalanobis(work, m)
     history.nis[k], history.dof[k] = nis, m
-    if not nis <= tables.threshold[sensor]:
+    if not nis <= tables.threshold[sensor * tables.M + m - 1]:
         return GATED
     if not gain(tables, history, work, k, sensor, m):
         return BAD_COVARIANCE
@@ -134,38 +134,57 @@ def measure(tables: Tables, history: History, work: Work, k: int, sensor: int, i
 
 @inline
 def ready(tables: Tables, history: History, work: Work, k: int, sensor: int) -> bool:
-    """Whether the sample can be used: what it depends on is known, or it gives a state at once."""
+    """Whether the sample can be used: what it depends on is known, or the sample itself gives it at once."""
     known = k * ROW + KNOWN
     for i in range(tables.rows[sensor]):
-        if tables.seed[sensor * tables.M + i] < 0:
-            measure(tables, history, work, k, sensor, i, 0)
-            for j in range(work.hn[0]):
-                if history.state[known + work.hi[j]] == 0.0:
-                    return False
+        if tables.what[sensor * tables.M + i] >= 0:
+            continue
+        measure(tables, history, work, k, sensor, i, 0)
+        for j in range(work.hn[0]):
+            state = work.hi[j]
+            gives = state == tables.seed[sensor * tables.M + i] or measures(tables, sensor, state)
+            if history.state[known + state] == 0.0 and not gives:
+                return False
     return True
 
 
 @inline
-def seed(tables: Tables, history: History, work: Work, k: int, sensor: int) -> int:
-    """A state that is not known yet takes the first value that a sensor gives, and its variance.
+def measures(tables: Tables, sensor: int, state: int) -> bool:
+    """Whether one of the sensor's numbers is the state itself."""
+    found = False
+    for i in range(tables.rows[sensor]):
+        found |= tables.what[sensor * tables.M + i] == state
+    return found
 
-    The other numbers of the sample are the active ones, which go on to correct the state; returns how many.
+
+@inline
+def seed(tables: Tables, history: History, work: Work, k: int, sensor: int) -> int:
+    """States that are not known yet take the first values that a sensor gives, and their variances.
+
+    States measured as they are come first, for others may depend on them. The other numbers of the sample are the
+    active ones, which go on to correct the state; returns how many.
     """
     s, b, M, m = history.state, k * ROW, tables.M, 0
-    rows = tables.rows[sensor]
+    rows, P = tables.rows[sensor], b + COVARIANCE
     for i in range(rows):
-        state = tables.seed[sensor * tables.M + i]
-        if state < 0 or s[b + KNOWN + state] != 0.0:
+        work.hn[i] = 0  # not used up
+    for derived in range(2):
+        for i in range(rows):
+            state = tables.seed[sensor * M + i]
+            if (tables.what[sensor * M + i] < 0) != (derived == 1) or state < 0 or s[b + KNOWN + state] != 0.0:
+                continue
+            value = s[b + state] + history.z[k * (M + 3) + i] - measure(tables, history, work, k, sensor, i, M)
+            s[b + state] = wrap(value) if ANGLES[state] else value
+            for j in range(N):
+                s[P + state * LD + j] = 0.0
+                s[P + j * LD + state] = 0.0
+            s[P + state * LD + state] = history.R[k * M * M + i * rows + i]
+            s[b + KNOWN + state] = 1.0
+            work.hn[i] = 1  # used up
+    for i in range(rows):
+        if work.hn[i] == 0:
             work.active[m] = i
             m += 1
-            continue
-        s[b + state] += history.z[k * (M + 3) + i] - measure(tables, history, work, k, sensor, i, 0)
-        P = b + COVARIANCE
-        for j in range(N):
-            s[P + state * LD + j] = 0.0
-            s[P + j * LD + state] = 0.0
-        s[P + state * LD + state] = history.R[k * M * M + i * rows + i]
-        s[b + KNOWN + state] = 1.0
     return m
 
 
@@ -248,7 +267,7 @@ def gain(tables: Tables, history: History, work: Work, k: int, sensor: int, m: i
     policy, M = tables.gain[sensor], tables.M
     if policy == STATE:
         for a in range(m):
-            weigh_states(tables, work, sensor, a)
+            weigh_states(tables, history, work, k, sensor, a)
     else:
         if policy == ABSORB and not share(tables, work, m):
             return False
@@ -281,15 +300,33 @@ def share(tables: Tables, work: Work, m: int) -> bool:
 
 
 @inline
-def weigh_states(tables: Tables, work: Work, sensor: int, a: int) -> None:
-    """Bezmen's table (2019, eq. 29): state f takes weight g of number q, in the state's unit by 1 / (dh_q/dx_f)."""
+def weigh_states(tables: Tables, history: History, work: Work, k: int, sensor: int, a: int) -> None:
+    """Bezmen's table (2019, eq. 29): state f takes weight g of number q, in the state's unit by 1 / (dh_q/dx_f).
+
+    Samples of the same stamp are one cycle. They are applied one after the other, which gives what (29) gives at once
+    when each weight is divided by what the later ones leave: g' = g / (1 - sum of the later g).
+    """
     for i in range(LD):
         work.rows[G + a * LD + i] = 0.0
     for j in range(work.hn[a]):
         state = work.hi[a * WIDTH + j]
         weight = tables.table[(sensor * tables.M + work.active[a]) * N + state]
-        if weight != 0.0:
-            work.rows[G + a * LD + state] = weight / work.hv[a * WIDTH + j]
+        left = 1.0 - later_weight(tables, history, k, state)
+        if weight != 0.0 and left > 0.0:
+            work.rows[G + a * LD + state] = weight / left / work.hv[a * WIDTH + j]
+
+
+@inline
+def later_weight(tables: Tables, history: History, k: int, state: int) -> float:
+    """The weights in a state of the samples that come after entry k at the same stamp."""
+    total = 0.0
+    for later in range(k + 1, history.cursor[1] + 1):
+        if history.t[later] != history.t[k]:
+            break
+        first = history.sensor[later] * tables.M
+        for i in range(tables.rows[history.sensor[later]]):
+            total += tables.table[(first + i) * N + state]
+    return total
 
 
 @inline

@@ -44,11 +44,12 @@ class Tables(NamedTuple):
     what: Ints  # (S, M) a state's index, or -1 - q for generated quantity q
     seed: Ints  # (S, M) the state that this number gives at once while that state is unknown, or -1
     angle: Bytes  # (S, M) whether the number is an angle
-    threshold: Floats  # (S,) gate: most that the NIS may be; inf for no gate
+    threshold: Floats  # (S, M) gate: most that the NIS of 1 to M numbers may be; inf for no gate
     sensor: Floats  # (S, 7) lever arm x y z (m, body), gravity (m/s²), station x y z (m, world)
     gain: Ints  # (S,) of Gain
     weight: Floats  # (S, M) share of the innovation absorbed
     table: Floats  # (S, M, N) weight of number q in state f
+    cycles: int  # whether samples of the same stamp share their weights (``Gain.STATE``)
     scaled: int  # whether the fixed gain is formed with ``scales`` in place of P
     scales: Floats  # (N,) standard deviations
     q: Floats  # (K,) process noise densities
@@ -98,9 +99,9 @@ class Work(NamedTuple):
     L: Floats  # (M, M)
     y: Floats  # (M,)
     nu: Floats  # (M,)
-    hv: Floats  # (M, WIDTH) non-zero derivatives of each measured number
-    hi: Ints  # (M, WIDTH) the states that they belong to
-    hn: Ints  # (M,) how many
+    hv: Floats  # (M + 1, WIDTH) non-zero derivatives of each measured number, and of one looked at in passing
+    hi: Ints  # (M + 1, WIDTH) the states that they belong to
+    hn: Ints  # (M + 1,) how many
     active: Ints  # (M,) the numbers that take part in this update
 
 

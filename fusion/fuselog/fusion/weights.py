@@ -49,6 +49,7 @@ def gain_tables(
         "gain": policy,
         "weight": weight.ravel(),
         "table": table.ravel(),
+        "cycles": int(gain.mode == "fixed" and gain.form == "state"),
         "scaled": int(scaled),
         "scales": scales,
     }
@@ -118,6 +119,6 @@ def _share(place: tuple[str, ...], value: Any, problems: list[Problem]) -> float
 def _require(sensors: Sequence[SensorPlan], weighted: Any, problems: list[Problem]) -> None:
     """A sensor without any weight would be read and do nothing."""
     for index, sensor in enumerate(sensors):
-        if sensor.role == Role.MEASURES and not weighted[index]:
+        if sensor.role == Role.MEASURES and sensor.names and not weighted[index]:
             names = ", ".join(f"{sensor.name}.{name}" for name in sensor.names)
             problems.append(Problem(("gain", "weights"), f"sensor {sensor.name} has no weight; give one for {names}"))

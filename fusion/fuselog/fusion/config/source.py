@@ -84,7 +84,7 @@ def parse_config(text: str, *, name: str = "configuration") -> tuple[Config, Sou
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """`` (did you mean ...?)``, or what there is when nothing is near."""
-    known = list(known)
+    known = list(dict.fromkeys(known))
     near = get_close_matches(word, known, n=1, cutoff=0.6)
     if near:
         return f" (did you mean {near[0]}?)"
