@@ -1,5 +1,7 @@
 """A stamp that jumps ahead is a wrong clock, until several in a row agree with it."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,7 +19,7 @@ def faults(stamps_s: list[float], cuts: list[int] | None = None) -> list[int]:
     events.t_ns[:] = (np.array(stamps_s) * S).astype(np.int64)
     guard = ClockGuard(STEP)
     bounds = [0, *sorted(cuts or []), len(stamps_s)]
-    for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+    for first, last in pairwise(bounds):
         guard.mark(events.take(slice(first, last)))  # a view: the faults land in ``events``
     return [int(f) for f in events.fault]
 

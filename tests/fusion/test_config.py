@@ -260,7 +260,7 @@ def test_defaults_are_all_there_as_json() -> None:
     data = json.loads(config.model_dump_json(by_alias=True))
     assert data["fuselog"] == 1
     assert data["gain"]["mode"] == "optimal"
-    assert data["lag"] == {"window": 1.0, "order": "by_stamp"}
+    assert data["lag"] == {"window": 1.0, "max_step": 60.0, "order": "by_stamp"}
     assert data["sensors"]["wheel"]["mount"] == {"xyz": [0.0, 0.0, 0.0], "rpy": [0.0, 0.0, 0.0]}
     assert Config.model_validate(data) == config
     schema = Config.model_json_schema(by_alias=True)

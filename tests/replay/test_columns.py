@@ -17,15 +17,10 @@ def test_columns_are_what_mcap_ros2_decodes(shared: Path) -> None:
 
     path = shared / "logs" / "rl_test1_husky.mcap"
     with open_log(path) as log:
-        columns = log.read(
-            "/imu/data", ["angular_velocity.z", "orientation_covariance[4]", "header.frame_id"]
-        )
+        columns = log.read("/imu/data", ["angular_velocity.z", "orientation_covariance[4]", "header.frame_id"])
     with path.open("rb") as file:
         decoded = [
-            m
-            for *_, m in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(
-                ["/imu/data"]
-            )
+            m for *_, m in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/imu/data"])
         ]
     assert len(columns) == len(decoded) == 11865
     assert columns["angular_velocity.z"].tolist() == [m.angular_velocity.z for m in decoded]

@@ -222,9 +222,7 @@ def encode(record: object) -> bytes:
     return builder.end()
 
 
-def write_chunk(
-    folder: Path, packed: bytes, crc: int, *, compression: str = "", declared: int | None = None
-) -> Path:
+def write_chunk(folder: Path, packed: bytes, crc: int, *, compression: str = "", declared: int | None = None) -> Path:
     """A log with one channel and this one chunk, without a summary."""
     size = len(packed) if declared is None else declared
     content = [

@@ -40,9 +40,7 @@ def test_overlapping_chunks_and_disorder_inside_chunks_are_merged_exactly(
 def test_random_overlaps_are_merged_exactly(make_log: Callable, oracle: Callable) -> None:
     random = np.random.default_rng(7)
     for _ in range(30):
-        chunks = [
-            rows(random.integers(0, 40, size=random.integers(1, 9)).tolist(), first=10 * k) for k in range(12)
-        ]
+        chunks = [rows(random.integers(0, 40, size=random.integers(1, 9)).tolist(), first=10 * k) for k in range(12)]
         path = make_log(chunks)
         with open_log(path) as log:
             assert [tuple(m) for m in log.messages()] == oracle(path)

@@ -33,7 +33,5 @@ def test_ours_are_known_and_a_short_name_will_do() -> None:
 
 @pytest.mark.parametrize("name", ["nav_msgs/msg/Odom", "Odometry", "../nav_msgs/msg/Odometry", ""])
 def test_an_unknown_name_says_what_is_known(name: str) -> None:
-    with pytest.raises(
-        SchemaError, match=r"not a definition that comes with fuselog; .*nav_msgs/msg/Odometry"
-    ):
+    with pytest.raises(SchemaError, match=r"not a definition that comes with fuselog; .*nav_msgs/msg/Odometry"):
         definition(name)

@@ -32,17 +32,14 @@ def transform(number: float, *, pad: int) -> bytes:
 
 
 def test_an_imu_in_both_byte_orders() -> None:
-    decoder = codec(
-        "sensor_msgs/msg/Imu", ["angular_velocity.z", "orientation", "header.frame_id"], "header.stamp"
-    )
+    decoder = codec("sensor_msgs/msg/Imu", ["angular_velocity.z", "orientation", "header.frame_id"], "header.stamp")
     assert decoder.paths == (
         "angular_velocity.z", "orientation.x", "orientation.y", "orientation.z", "orientation.w",
     )  # fmt: skip
     sec, nanosec = divmod(STAMP_NS, 1_000_000_000)
     numbers = [float(number) for number in range(37)]
     payloads = [
-        bytes([0, order == "<", 0, 0])
-        + struct.pack(f"{order}iII9s3x37d", sec, nanosec, 9, b"imu_link\0", *numbers)
+        bytes([0, order == "<", 0, 0]) + struct.pack(f"{order}iII9s3x37d", sec, nanosec, 9, b"imu_link\0", *numbers)
         for order in "<>"
     ]
     columns = decode(decoder, *payloads)
@@ -77,17 +74,13 @@ def test_a_message_without_the_element_that_holds_its_stamp_is_another_schema() 
 
 @pytest.mark.parametrize("kind", ["int64", "uint64"])
 def test_a_stamp_in_ns_is_exact(kind: str) -> None:
-    columns = decode(
-        codec(f"{kind} t\nfloat64 x\n", ["t"], "t"), b"\0\1\0\0" + struct.pack("<qd", STAMP_NS, 1)
-    )
+    columns = decode(codec(f"{kind} t\nfloat64 x\n", ["t"], "t"), b"\0\1\0\0" + struct.pack("<qd", STAMP_NS, 1))
     assert columns.t_ns.tolist() == [STAMP_NS]
     assert columns["t"].tolist() == [float(STAMP_NS)]
 
 
 def test_bytes_above_127_are_unsigned_and_any_true_is_one() -> None:
-    columns = decode(
-        codec("byte a\nchar b\nuint8 c\nint8 d\nbool e\n", list("abcde")), b"\0\1\0\0\xff\xff\xff\xff\x07"
-    )
+    columns = decode(codec("byte a\nchar b\nuint8 c\nint8 d\nbool e\n", list("abcde")), b"\0\1\0\0\xff\xff\xff\xff\x07")
     assert columns.values.tolist() == [[255.0, 255.0, 255.0, -1.0, 1.0]]
 
 
@@ -142,9 +135,7 @@ def test_a_sequence_as_a_whole_has_no_width() -> None:
 
 
 def test_an_unknown_encoding_says_what_is_supported() -> None:
-    with pytest.raises(
-        SchemaError, match=r"protobuf encoding with no schema is not supported .*cdr with ros2msg"
-    ):
+    with pytest.raises(SchemaError, match=r"protobuf encoding with no schema is not supported .*cdr with ros2msg"):
         compile_codec(
             encoding="protobuf", schema_encoding="", schema_name="x", schema_text="", fields=[], stamp=None
         )  # fmt: skip

@@ -37,9 +37,7 @@ def test_nothing_to_read_is_a_size_fault(payload: bytes) -> None:
     assert decode("uint8 a\n", ["a"], payload).fault.tolist() == [Fault.SIZE]
 
 
-@pytest.mark.parametrize(
-    "schema", ["string s", "wstring s", "float64[] s", "string[] s", "uint8[] s", EMPTIES]
-)
+@pytest.mark.parametrize("schema", ["string s", "wstring s", "float64[] s", "string[] s", "uint8[] s", EMPTIES])
 def test_absurd_counts_end_at_once(schema: str) -> None:
     started = time.perf_counter()
     columns = decode(schema, [], *[count(n) + bytes(100) for n in (BIG, 2**32 - 1, 2**31, 2**30, 200)])

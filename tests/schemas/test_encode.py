@@ -105,9 +105,7 @@ def test_every_kind_of_number_is_stored_exactly() -> None:
         encoding="cdr", schema_encoding="ros2msg", schema_name="pk/msg/All", schema_text=text,
         fields=list(encoder.paths), stamp=None,
     )  # fmt: skip
-    np.testing.assert_array_equal(
-        codec.decode(data, np.array([0, size]), np.array([size, size])).values, values
-    )
+    np.testing.assert_array_equal(codec.decode(data, np.array([0, size]), np.array([size, size])).values, values)
 
 
 @pytest.mark.parametrize("value", [-1.0, 256.0, 0.5, np.nan, np.inf])

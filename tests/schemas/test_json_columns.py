@@ -131,6 +131,6 @@ def test_a_wrong_field_or_schema_says_what_would_be_right(
 
 def test_a_schema_that_refers_to_itself_is_open_there() -> None:
     schema = json.dumps({"properties": {"next": {"$ref": "#"}, "x": {"type": "number"}}})
-    assert decode(
-        codec(["next.next.x", "x"], schema=schema), {"x": 1, "next": {"next": {"x": 2}}}
-    ).values.tolist() == [[2.0, 1.0]]
+    assert decode(codec(["next.next.x", "x"], schema=schema), {"x": 1, "next": {"next": {"x": 2}}}).values.tolist() == [
+        [2.0, 1.0]
+    ]

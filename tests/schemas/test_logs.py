@@ -29,9 +29,7 @@ def test_every_message_of(name: str) -> None:
         kinds, stamp = field_paths(**given), stamp_path(**given)
         codec = compile_codec(**given, fields=list(kinds), stamp=stamp)
         length = np.array([len(payload) for payload in payloads], np.int64)
-        columns = codec.decode(
-            np.frombuffer(b"".join(payloads), np.uint8), np.cumsum(length) - length, length
-        )
+        columns = codec.decode(np.frombuffer(b"".join(payloads), np.uint8), np.cumsum(length) - length, length)
         assert not columns.fault.any()
         for read in readers(schema, encoding):
             compare(columns, kinds, stamp, [read(payload) for payload in payloads])
@@ -68,9 +66,7 @@ def compare(columns: Columns, kinds: dict[str, str], stamp: str | None, messages
         elif "[" in kind:
             first = columns.paths.index(f"{path}[0]")
             width = int(kind.split("[")[1].removesuffix("]"))
-            assert (
-                np.array(theirs, np.float64).tobytes() == columns.values[:, first : first + width].tobytes()
-            ), path
+            assert np.array(theirs, np.float64).tobytes() == columns.values[:, first : first + width].tobytes(), path
         else:
             assert np.array(theirs, np.float64).tobytes() == columns[path].tobytes(), path
     if stamp is not None:
@@ -87,6 +83,4 @@ def getter(path: str) -> Callable[[Any], Any]:
         read = attrgetter(path)
         return lambda message: message[path] if isinstance(message, dict) else read(message)
     tokens = re.findall(r"\w+", path)
-    return lambda message: reduce(
-        lambda at, key: at[int(key)] if key.isdigit() else getattr(at, key), tokens, message
-    )
+    return lambda message: reduce(lambda at, key: at[int(key)] if key.isdigit() else getattr(at, key), tokens, message)

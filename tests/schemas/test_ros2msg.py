@@ -68,9 +68,7 @@ def test_an_empty_message_holds_one_byte() -> None:
 
 
 def test_paths_that_can_be_asked_for() -> None:
-    text = (
-        f"Point[] cloud\nPoint[2] pair\nfloat64[9] matrix\nfloat64[] list\n{LINE}\nMSG: pk/Point\nfloat64 x\n"
-    )
+    text = f"Point[] cloud\nPoint[2] pair\nfloat64[9] matrix\nfloat64[] list\n{LINE}\nMSG: pk/Point\nfloat64 x\n"
     assert paths(text) == {
         "cloud[]": "uint32",
         "cloud[0].x": "float64",

@@ -6,7 +6,7 @@ from fuselog.fusion.events import Decision, Events
 from fuselog.fusion.filter import Filter, Order
 from fuselog.fusion.ledger import Account, Ledger
 from fuselog.fusion.outputs import Output, Outputs
-from fuselog.fusion.plan import Plan, compile_plan
+from fuselog.fusion.plan import Plan, compile_plan, load_plan
 from fuselog.fusion.stream import Stream
 from fuselog.fusion.track import Track, join_tracks
 
@@ -29,5 +29,6 @@ __all__ = [
     "compile_plan",
     "join_tracks",
     "load_config",
+    "load_plan",
     "parse_config",
 ]

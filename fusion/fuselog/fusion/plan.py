@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.config import Config, Problem, SensorSettings, Source, did_you_mean
+from fuselog.fusion.config import Config, Problem, SensorSettings, Source, did_you_mean, read_source, validate
 from fuselog.fusion.gate import chi_square_quantile
 from fuselog.fusion.kernels import MODEL_NAMES, ModelCard, model_card
 from fuselog.fusion.sensors import SensorPlan, plan_sensor
@@ -38,13 +39,22 @@ class Plan:
         return tuple(self.card.states)
 
 
-def compile_plan(config: Config, source: Source) -> Plan:
-    """Resolve names, rows, gates and gains; raises ``ConfigError`` with every problem found."""
+def load_plan(path: str | Path) -> Plan:
+    """Read a configuration file and compile it; raises ``ConfigError`` with every problem, of form or of meaning."""
+    source = read_source(path)
+    config, problems = validate(source)
+    if config is None:
+        raise source.complain(problems)
+    return compile_plan(config, source, problems)
+
+
+def compile_plan(config: Config, source: Source, known_problems: Sequence[Problem] = ()) -> Plan:
+    """Resolve names, rows, gates and gains; raises ``ConfigError`` with every problem, the known ones included."""
     if config.model.name not in MODEL_NAMES:
         reason = f"there is no model {config.model.name!r}{did_you_mean(config.model.name, MODEL_NAMES)}"
-        raise source.complain([Problem(("model", "name"), reason)])
+        raise source.complain([*known_problems, Problem(("model", "name"), reason)])
     card = model_card(config.model.name)
-    problems = [*_check_names(config, card)]
+    problems = [*known_problems, *_check_names(config, card)]
     sensors = [
         plan_sensor(rank, name, settings, card, problems)
         for rank, (name, settings) in enumerate(config.sensors.items())

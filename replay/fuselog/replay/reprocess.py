@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from fuselog.fusion import Filter, Order, Outputs, Plan, Stream, Track, compile_plan, join_tracks, load_config
+from fuselog.fusion import Filter, Order, Outputs, Plan, Stream, Track, join_tracks, load_plan
 from fuselog.fusion.report import estimate_json, ledger_json
 from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log, open_log
@@ -58,7 +58,7 @@ class Summary:
 
 def reprocess(log: Log | str | Path, config: Plan | str | Path, *, order: Order | None = None) -> Track:
     """The whole track of a log, in memory; ``config`` is a plan or a file. Raises ``LogError`` and ``ConfigError``."""
-    plan = config if isinstance(config, Plan) else compile_plan(*load_config(config))
+    plan = config if isinstance(config, Plan) else load_plan(config)
     if not isinstance(log, Log):
         with open_log(log) as opened:
             return reprocess(opened, plan, order=order)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion import Plan, compile_plan, load_config
+from fuselog.fusion import Plan, load_plan
 from fuselog.replay import open_log, reprocess_to
 from fuselog.replay.evaluate import Evaluation, evaluate
 from fuselog.replay.measured import Measured, read_measured
@@ -80,7 +80,7 @@ def _leave(folder: Path, configs: Mapping[str, Path]) -> None:
 
 
 def _fuse(log: Path, config: Path, out: Path) -> Plan:
-    plan = compile_plan(*load_config(config))
+    plan = load_plan(config)
     with open_log(log) as opened:
         reprocess_to(opened, plan, out)
     return plan

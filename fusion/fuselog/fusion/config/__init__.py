@@ -1,7 +1,15 @@
 """Configuration: what it may say, and reading it with a place for every problem."""
 
 from fuselog.fusion.config.settings import Config, SensorSettings, ZenohSettings
-from fuselog.fusion.config.source import Problem, Source, did_you_mean, load_config, parse_config
+from fuselog.fusion.config.source import (
+    Problem,
+    Source,
+    did_you_mean,
+    load_config,
+    parse_config,
+    read_source,
+    validate,
+)
 
 __all__ = [
     "Config",
@@ -12,4 +20,6 @@ __all__ = [
     "did_you_mean",
     "load_config",
     "parse_config",
+    "read_source",
+    "validate",
 ]

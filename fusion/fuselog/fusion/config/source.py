@@ -18,6 +18,7 @@ from fuselog.fusion.config.settings import Config, Settings
 from fuselog.schemas.errors import ConfigError
 
 Place = tuple[str | int, ...]
+_PASSES = 4  # over a configuration, each without what the one before found wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,16 +58,49 @@ class Source:
 
 def load_config(path: str | Path) -> tuple[Config, Source]:
     """Read and validate a configuration file; raises ``ConfigError`` that lists every problem at its place."""
+    return _strictly(read_source(path))
+
+
+def parse_config(text: str, *, name: str = "configuration") -> tuple[Config, Source]:
+    """The same for a text that is already here."""
+    return _strictly(_parse(text, name))
+
+
+def read_source(path: str | Path) -> Source:
+    """A configuration file as it is written; raises ``ConfigError`` when it is not YAML."""
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "is not UTF-8 text"
         raise ConfigError([f"{path}: {reason}"]) from error
-    return parse_config(text, name=str(path))
+    return _parse(text, str(path))
 
 
-def parse_config(text: str, *, name: str = "configuration") -> tuple[Config, Source]:
-    """The same for a text that is already here."""
+def validate(source: Source) -> tuple[Config | None, list[Problem]]:
+    """The configuration without the keys that are wrong, None when that leaves none; and everything wrong with it."""
+    data, problems = _plain(source.tree), dict[Place, Problem]()
+    for _ in range(_PASSES):
+        try:
+            return Config.model_validate(data), list(problems.values())
+        except ValidationError as error:
+            found = [_problem(details) for details in error.errors()]
+            places = [problem.place for problem in found]
+            for problem in found:
+                if not any(_under(place, problem.place) for place in places):  # of a union, the branch that was meant
+                    problems.setdefault(problem.place, problem)
+            for place in places:
+                _drop(data, place)
+    return None, list(problems.values())
+
+
+def _strictly(source: Source) -> tuple[Config, Source]:
+    config, problems = validate(source)
+    if config is None or problems:
+        raise source.complain(problems)
+    return config, source
+
+
+def _parse(text: str, name: str) -> Source:
     try:
         tree: Any = YAML().load(text)
     except MarkedYAMLError as error:
@@ -76,10 +110,21 @@ def parse_config(text: str, *, name: str = "configuration") -> tuple[Config, Sou
     source = Source(name, text, tree)
     if not isinstance(tree, CommentedMap):
         raise source.complain([Problem((), "expected keys such as fuselog, model and sensors")])
-    try:
-        return Config.model_validate(_plain(tree)), source
-    except ValidationError as error:
-        raise source.complain(_problem(details) for details in error.errors()) from error
+    return source
+
+
+def _under(place: Place, other: Place) -> bool:
+    return len(place) > len(other) and place[: len(other)] == other
+
+
+def _drop(data: Any, place: Place) -> None:
+    """Take out the deepest key on the way to ``place`` that is there, so that the rest can still be looked at."""
+    node, found = data, (data, place[0])
+    for key in place:
+        if not isinstance(node, dict) or key not in node:
+            break
+        found, node = (node, key), node[key]
+    found[0].pop(found[1], None)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

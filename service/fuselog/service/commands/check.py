@@ -12,12 +12,12 @@ def check(
     explain: Annotated[bool, typer.Option("--explain", help="Print every setting, defaults included.")] = False,
 ) -> None:
     """Validate a configuration; with a log, say which topic feeds what, without fusing anything."""
-    from fuselog.fusion import Filter, compile_plan, load_config  # noqa: PLC0415  slow to import
+    from fuselog.fusion import Filter, load_plan  # noqa: PLC0415  slow to import
     from fuselog.fusion.tables import Role  # noqa: PLC0415  slow to import
     from fuselog.replay import open_log  # noqa: PLC0415  slow to import
     from fuselog.replay.reprocess import open_inputs  # noqa: PLC0415  slow to import
 
-    plan = compile_plan(*load_config(config))
+    plan = load_plan(config)
     typer.echo(f"{config}: model {plan.card.name} ({', '.join(plan.states)})")
     for sensor in plan.sensors:
         verb = "corrects" if sensor.role == Role.MEASURES else "drives"

@@ -20,12 +20,12 @@ def reprocess(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Fuse a log as fast as the machine allows; write estimates, odometry and a decision for every sample."""
-    from fuselog.fusion import compile_plan, load_config  # noqa: PLC0415  slow to import
+    from fuselog.fusion import load_plan  # noqa: PLC0415  slow to import
     from fuselog.replay import open_log, reprocess_to  # noqa: PLC0415  slow to import
 
     if rrd is not None and output is None:
         raise typer.BadParameter("it shows the output: give --output too", param_hint="--rrd")
-    plan = compile_plan(*load_config(config))
+    plan = load_plan(config)
     with open_log(log) as opened, progress("fusing") as advance:
         summary = reprocess_to(opened, plan, output, order=order, advance=advance)
     if rrd is not None and output is not None:

@@ -22,11 +22,11 @@ def serve(
 
     SIGTERM or Ctrl-C ends it after what has come is fused and published; Ctrl-C again ends it at once.
     """
-    from fuselog.fusion import compile_plan, load_config  # noqa: PLC0415  slow to import
+    from fuselog.fusion import load_plan  # noqa: PLC0415  slow to import
     from fuselog.service.serving import serve as run  # noqa: PLC0415  slow to import
     from fuselog.service.transport import service_endpoints  # noqa: PLC0415  slow to import
 
-    plan = compile_plan(*load_config(config))
+    plan = load_plan(config)
     stop = threading.Event()
 
     def end(_number: int, _frame: FrameType | None) -> None:
