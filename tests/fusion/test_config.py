@@ -158,7 +158,7 @@ def weighed(gain: str) -> str:
             "{mode: fixed, form: state, weights: {v: {wheel.v: 0.7}, yaw: {compass.yaw: 0.9, wheel.yaw_rate: 0.2}}}",
             [
                 "8:63: gain.weights.yaw: weights add up to 1.1, more than 1; sum: free allows it",
-                "8:87: gain.weights.yaw.wheel.yaw_rate: measures yaw_rate, not yaw: its weight would do nothing",
+                "8:87: gain.weights.yaw.wheel.yaw_rate: does not measure yaw itself: how much it says of it may vanish",
             ],
         ),
         (
@@ -266,3 +266,15 @@ def test_defaults_are_all_there_as_json() -> None:
     schema = Config.model_json_schema(by_alias=True)
     assert set(schema["required"]) == {"fuselog", "model", "sensors"}
     assert schema["additionalProperties"] is False
+
+
+def test_a_weight_needs_a_number_that_measures_its_state() -> None:
+    text = """
+    fuselog: 1
+    model: {name: constant_velocity}
+    gain: {mode: fixed, form: state, weights: {x: {radar.range: 0.5}}}
+    sensors:
+      radar: {topic: /radar, kind: polar, noise: {range: 1, bearing: 1, range_rate: 1}}
+    """
+    with pytest.raises(ConfigError, match="does not measure x itself"):
+        compile_plan(*parse_config(text))

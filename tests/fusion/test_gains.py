@@ -176,6 +176,22 @@ def test_weights_that_add_up_to_one_leave_nothing_of_the_prediction() -> None:
         assert track.covariance(0)[:2, :2] == pytest.approx(R, abs=1e-12)
 
 
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 2, 0)])
+@pytest.mark.parametrize("prior", [0.0, 100.0])
+def test_sensors_of_one_stamp_are_a_weighted_mean(order: tuple[int, ...], prior: float) -> None:
+    """sum: one over several sensors gives sum(g z), whatever was predicted, in any order of arrival (eq. 30)."""
+    table = {"vx": {"speed.vx": 0.5, "speed1.vx": 0.3, "speed2.vx": 0.2}}
+    config = configuration("constant_velocity", gain={"mode": "fixed", "form": "state", "sum": "one", "weights": table})
+    speed = {"topic": "/speed", "fuse": ["vx"]}
+    config["sensors"] = {name: speed for name in ("speed", "speed1", "speed2")}
+    config["initial"] = {"state": {"vx": prior}}
+    samples = [Sample(SECOND, name, [z], 0.01) for name, z in (("speed", 1.0), ("speed1", 2.0), ("speed2", 4.0))]
+    plan = make_plan(config)
+    track = Engine(plan).advance(events_of(plan, [samples[n] for n in order]))
+    assert track["vx"][-1] == pytest.approx(0.5 * 1.0 + 0.3 * 2.0 + 0.2 * 4.0, abs=1e-12)
+    assert track.variance("vx")[-1] == pytest.approx((0.25 + 0.09 + 0.04) * 0.01, rel=1e-12)
+
+
 def test_the_half_way_angle_goes_through_180_degrees() -> None:
     """A weighted mean of 179 and -179 degrees is 180, not 0: fused by wrapped innovations."""
     plan = setup("unicycle")

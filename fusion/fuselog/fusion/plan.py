@@ -54,7 +54,7 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         reason = f"there is no model {config.model.name!r}{did_you_mean(config.model.name, MODEL_NAMES)}"
         raise source.complain([*known_problems, Problem(("model", "name"), reason)])
     card = model_card(config.model.name)
-    problems = [*known_problems, *_check_names(config, card)]
+    problems = _check_names(config, card)
     sensors = [
         plan_sensor(rank, name, settings, card, problems)
         for rank, (name, settings) in enumerate(config.sensors.items())
@@ -62,6 +62,9 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
     measured: list[str] = []
     rows = [_rows(sensor, card, measured) for sensor in sensors]
     gains = gain_tables(config, card, sensors, rows, problems)
+    # What is missing may be what is wrong: nothing is said of a place below which there is a known problem.
+    told = {problem.place[:depth] for problem in known_problems for depth in range(len(problem.place) + 1)}
+    problems = [*known_problems, *(problem for problem in problems if problem.place not in told)]
     if problems:
         raise source.complain(problems)
     given = np.array([state in config.initial.state for state in card.states])

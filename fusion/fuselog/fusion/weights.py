@@ -76,11 +76,8 @@ def _fill_state(
     f, total = list(card.states).index(state), 0.0
     given = cast(Mapping[str, Any], numbers)
     for at, index, row, value in _numbers(place, given, sensors, problems):
-        what = rows[index][row][0]
-        if what >= 0 and what != f:
-            problems.append(
-                Problem(at, f"measures {list(card.states)[what]}, not {state}: its weight would do nothing")
-            )
+        if value and f not in rows[index][row]:  # neither the state itself, nor the state at the sensor's place
+            problems.append(Problem(at, f"does not measure {state} itself: how much it says of it may vanish"))
         table[index, row, f] = _share(at, value, problems)
         total += table[index, row, f]
     rule = config.gain.sum

@@ -86,7 +86,8 @@ def validate(source: Source) -> tuple[Config | None, list[Problem]]:
             found = [_problem(details) for details in error.errors()]
             places = [problem.place for problem in found]
             for problem in found:
-                if not any(_under(place, problem.place) for place in places):  # of a union, the branch that was meant
+                # Of a union, the branch that was meant; and no complaint of what was taken out before.
+                if not any(_under(place, problem.place) for place in (*places, *problems)):
                     problems.setdefault(problem.place, problem)
             for place in places:
                 _drop(data, place)
