@@ -19,6 +19,7 @@ from tests.fusion.reference import MOTIONS, Ekf
 from tests.fusion.setups import Sample, events_of, make_plan, truth
 
 from fuselog.fusion import Decision, Engine, Events, Plan
+from fuselog.fusion.gate import chi_square_quantile
 
 SENSORS = {  # numbers, rate in Hz, standard deviation
     "imu": (["roll", "pitch", "yaw", "roll_rate", "pitch_rate", "yaw_rate", "ax", "ay", "az"], 100, 0.02),
@@ -53,7 +54,7 @@ def mixed(seconds: float) -> list[Sample]:
 def dense(plan: Plan, samples: list[Sample]) -> Ekf:
     """The same log through plain numpy."""
     ekf = Ekf(MOTIONS["omni3d"], plan.x, plan.P, dict(zip(plan.card.noise, plan.tables.q, strict=True)))
-    thresholds = dict(zip(SENSORS, plan.tables.threshold.tolist(), strict=True))
+    thresholds = {sensor.name: chi_square_quantile(sensor.settings.gate or 1.0, sensor.dof) for sensor in plan.sensors}
     noise = {name: np.eye(len(numbers)) * sd**2 for name, (numbers, _, sd) in SENSORS.items()}
     before = samples[0].t_ns
     for sample in samples:

@@ -1,7 +1,9 @@
 """A batch of events in the total order (t_ns, sensor rank, seq), late ones by rewinding; compiled with ``step``."""
 
+import math
+
 from fuselog.fusion.rows import pointers, row_copy
-from fuselog.fusion.step import COVARIANCE, LD, PACKED, ROW, N, step
+from fuselog.fusion.step import COVARIANCE, KNOWN, LD, PACKED, ROW, N, step
 from fuselog.fusion.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
 from fuselog.schemas.compiled import inline, kernel
 
@@ -39,11 +41,11 @@ def advance_all(tables: Tables, history: History, work: Work, events: Samples, s
 
 @inline
 def make_room(tables: Tables, history: History) -> bool:
-    """Move the entries to the front when the end is reached; false when that would free less than half."""
+    """Move the entries to the front when the end is reached; false when that would free less than three quarters."""
     head, tail = history.cursor[0], history.cursor[1]
     if tail + 1 < history.capacity:
         return True
-    if head < history.capacity // 2:
+    if head < history.capacity * 3 // 4:
         return False
     for k in range(head, tail + 1):
         move_sample(tables, history, k, k - head)
@@ -167,6 +169,9 @@ def write(tables: Tables, history: History, at: int, decision: int, rows: Rows, 
     M, s, b = tables.M, history.state, history.cursor[1] * ROW
     rows.t_ns[e], rows.decision[e] = history.t[history.cursor[1]], decision
     row_copy(rows.x, e * N, s, b, LD)
+    for i in range(N):
+        if s[b + KNOWN + i] == 0.0:
+            rows.x[e * N + i] = math.nan
     packed = e * PACKED
     for i in range(N):
         row_copy(rows.P, packed, s, b + COVARIANCE + i * LD + i, LD)  # what is too much, the next row covers

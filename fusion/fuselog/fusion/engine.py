@@ -13,7 +13,7 @@ from fuselog.fusion.plan import Plan
 from fuselog.fusion.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Work
 from fuselog.fusion.track import Track
 
-_FIRST_CAPACITY = 256  # entries; the history grows with what the window holds
+_FIRST_CAPACITY = 64  # entries; the history grows with what the window holds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,7 +21,7 @@ class Estimate:
     """The newest state of a filter. ``t_ns`` is None while it has fused nothing."""
 
     t_ns: int | None
-    x: NDArray[np.float64]  # (N,)
+    x: NDArray[np.float64]  # (N,) NaN where not known
     P: NDArray[np.float64]  # (N, N)
     known: NDArray[np.bool_]  # (N,) False while a state waits for its first measurement
 
@@ -40,10 +40,12 @@ class Engine:
     replayed from there; an older one is counted late. Cutting the input into batches changes no bit of any row.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, *, window_ns: int | None = None) -> None:
+        """``window_ns`` takes the place of the plan's: 0 for events that come in their order."""
         self.plan = plan
         self._kernel = kernel_module(plan.card.name, plan.measured)
-        self._tables = plan.tables._replace(sensor=plan.tables.sensor.copy())
+        window_ns = plan.tables.window_ns if window_ns is None else window_ns
+        self._tables = plan.tables._replace(sensor=plan.tables.sensor.copy(), window_ns=window_ns)
         self._work = _work(self._kernel, plan.tables.M)
         self._history = _history(self._kernel, plan)
 
@@ -87,7 +89,8 @@ class Engine:
         t = int(self._history.t[tail])
         P = row[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N]
         known = row[kernel.KNOWN : kernel.KNOWN + N] != 0
-        return Estimate(t_ns=None if t == NEVER else t, x=row[:N], P=P, known=known)
+        x = np.where(known, row[:N], np.nan)
+        return Estimate(t_ns=None if t == NEVER else t, x=x, P=P, known=known)
 
     @property
     def counts(self) -> NDArray[np.int64]:

@@ -29,7 +29,7 @@ class Filter:
         self.intake = Intake(plan)
         self._order = StampOrder(plan.tables.window_ns, plan.tables.M) if order == "by_stamp" else None
         self._clock = ClockGuard(round(plan.config.lag.max_step * 1e9))
-        self._engine = Engine(plan)
+        self._engine = Engine(plan, window_ns=None if self._order is None else 0)
 
     def feed(self, messages: Messages) -> Track:
         """Take a batch; returns the rows that it settled."""

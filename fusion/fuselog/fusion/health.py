@@ -109,12 +109,15 @@ def assess(plan: Plan, *, estimate: Estimate, ledger: Ledger, recent: Recent, lo
         )
         for sensor in plan.sensors
     }
-    finite = bool(np.isfinite(estimate.x).all() and np.isfinite(estimate.P).all())
+    finite = bool(np.isfinite(estimate.x[estimate.known]).all() and np.isfinite(estimate.P).all())
     positive = finite and _positive(estimate.P)
     own = [] if finite else ["the state is not finite"]
     own += [] if positive else ["the covariance is not positive semi-definite"]
     wrong = [f"{name}: {reason}" for name, s in sensors.items() if s.status == "degraded" for reason in s.reasons]
     waits = [f"{name}: {reason}" for name, s in sensors.items() if s.status == "waiting" for reason in s.reasons]
+    unknown = [state for state, known in zip(plan.states, estimate.known, strict=True) if not known]
+    if unknown and estimate.t_ns is not None:
+        waits.append(f"no estimates yet: nothing has measured {', '.join(unknown)}")
     return Health(
         status="degraded" if own or wrong else "waiting" if waits or estimate.t_ns is None else "ok",
         reasons=(*own, *wrong, *waits),

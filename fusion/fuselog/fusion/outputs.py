@@ -41,8 +41,9 @@ class Output:
 class Outputs:
     """The topics of one filter, and its tracks as messages of them, in the order of the track.
 
-    ``<estimate>`` carries the state after every sample that moved it, ``<estimate>/odometry`` the same as a pose for
-    models that have one, ``<estimate>/decision`` what became of every sample. Streams are numbered as ``topics``.
+    ``<estimate>`` carries the state after every sample that moved it, from when every state is known,
+    ``<estimate>/odometry`` the same as a pose for models that have one, ``<estimate>/decision`` what became of every
+    sample. Streams are numbered as ``topics``.
     With ``output.rate``, of the estimates in a period of event time only the last is published, when the first one
     after the period is there. How a track is cut into batches makes no difference.
     """
@@ -56,6 +57,7 @@ class Outputs:
             self.topics.append(Output(f"{base}/odometry", ODOMETRY))
         self._estimate = _estimate_encoder(plan)
         self._odometry = _odometry_encoder(plan) if plan.card.has_pose else None
+        self._odometry_columns = _odometry_columns(plan)
         self._decisions = [_decision_encoder(s.name, s.dof, plan.config.output.frame) for s in plan.sensors]
 
     def encode(self, track: Track) -> Messages:
@@ -84,18 +86,20 @@ class Outputs:
         return encoded.data[: int(encoded.length[encoded.stream == 0].sum())]
 
     def _estimate_jobs(self, due: Track, rows: NDArray[np.int64]) -> list["_Job"]:
-        jobs = [_Job(0, rows, self._estimate, due.t_ns, np.concatenate([due.x, due.P], axis=1), due.t_ns)]
+        table = np.concatenate([due.x, due.P, np.zeros((len(due), 1))], axis=1)
+        jobs = [_Job(0, rows, self._estimate, due.t_ns, table[:, :-1], due.t_ns)]
         if self._odometry is not None:
-            jobs.append(_Job(2, rows, self._odometry, due.t_ns, _odometry_values(self._plan, due), due.t_ns))
+            values = _odometry_values(self._odometry_columns, table)
+            jobs.append(_Job(2, rows, self._odometry, due.t_ns, values, due.t_ns))
         return jobs
 
     def _due(self, track: Track) -> tuple[Track, NDArray[np.int64]]:
         """The estimates to publish, and the row of the track at which each is published."""
         moved = np.isin(track.decision, (Decision.FUSED, Decision.GATED)) & (track.t_ns != NEVER)
-        rows = np.flatnonzero(moved)
+        rows = np.flatnonzero(moved & np.isfinite(track.x).all(axis=1))
         rate = self._plan.config.output.rate
         if rate is None or len(rows) == 0:
-            return track.take(rows), rows
+            return track if len(rows) == len(track) else track.take(rows), rows
         before = [] if self._waiting is None else [self._waiting]
         moves = join_tracks([*before, track.take(rows)])
         period = moves.t_ns // max(1, round(1e9 / rate))
@@ -183,26 +187,29 @@ def _decision_values(track: Track, rows: NDArray[np.int64], dof: int) -> Floats:
     return np.concatenate([np.stack(head, axis=1).astype(np.float64), *tables], axis=1)
 
 
-def _odometry_values(plan: Plan, track: Track) -> Floats:
-    """Pose, its covariance, twist, its covariance (n, 7 + 36 + 6 + 36); 0 for what the model does not estimate."""
-    pose, pose_covariance = _group(plan.states, track.x, track.P, _POSE)
-    twist, twist_covariance = _group(plan.states, track.x, track.P, _TWIST)
-    attitude = quaternions_from_rpy(np.ascontiguousarray(pose[:, 3:]))
-    return np.concatenate([pose[:, :3], attitude, pose_covariance, twist, twist_covariance], axis=1)
+def _odometry_values(columns: NDArray[np.int64], table: Floats) -> Floats:
+    """Pose, its covariance, twist, its covariance (n, 7 + 36 + 6 + 36) from rows of x, P and a zero."""
+    values = table[:, columns]
+    rpy = np.ascontiguousarray(values[:, 4:7])
+    values[:, 3:7] = quaternions_from_rpy(rpy)
+    return values
 
 
-def _group(states: tuple[str, ...], x: Floats, P: Floats, names: Sequence[str]) -> tuple[Floats, Floats]:
-    """Six named states (n, 6) and their covariance (n, 36)."""
-    index = [next((states.index(n) for n in _NAMES_OF.get(name, (name,)) if n in states), None) for name in names]
-    values, covariance = np.zeros((len(x), 6)), np.zeros((len(x), 36))
-    for i, row in enumerate(index):
-        if row is None:
-            continue
-        values[:, i] = x[:, row]
-        for j, column in enumerate(index):
-            if column is not None:
-                covariance[:, 6 * i + j] = P[:, _packed(len(states), row, column)]
-    return values, covariance
+def _odometry_columns(plan: Plan) -> NDArray[np.int64]:
+    """Where an Odometry's numbers stand in a row of x, P and a zero; roll, pitch, yaw after one for the quaternion."""
+    n = len(plan.states)
+    nothing = n + n * (n + 1) // 2
+    columns: list[int] = []
+    for names in (_POSE, _TWIST):
+        index = [_state_of(plan.states, name) for name in names]
+        values = [nothing if i is None else i for i in index]
+        columns += [*values[:3], nothing, *values[3:]] if names is _POSE else values
+        columns += [nothing if i is None or j is None else n + _packed(n, i, j) for i in index for j in index]
+    return np.array(columns)
+
+
+def _state_of(states: tuple[str, ...], name: str) -> int | None:
+    return next((states.index(n) for n in _NAMES_OF.get(name, (name,)) if n in states), None)
 
 
 def _packed(n: int, i: int, j: int) -> int:

@@ -101,6 +101,20 @@ def _row_add(typing, to, at, source, start, factor, width):  # noqa: ARG001  num
     return (signature, emit) if _fixed(width) else None
 
 
+def _row_mean(typing, to, at, source, start, width):  # noqa: ARG001  numba reads this signature
+    """to[at : at + width] = (to[at : at + width] + source[start : start + width]) / 2."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        lanes = width.literal_value
+        target = _row(builder, arguments[0], arguments[1], lanes)
+        total = builder.fadd(_load(builder, target), _load(builder, _row(builder, arguments[2], arguments[3], lanes)))
+        half = _spread(builder, ir.Constant(ir.DoubleType(), 0.5), lanes)
+        builder.store(builder.fmul(half, total), target, align=_BYTES)
+        return context.get_dummy_value()
+
+    return (types.void(to, types.intp, source, types.intp, width), emit) if _fixed(width) else None
+
+
 def _row_take(typing, to, at, source, start, factors, first, stride, count, width):  # noqa: ARG001  numba reads this signature
     """to[at : at + width] -= sum over c < count of factors[first + c * stride] * row c from ``start`` of source."""
 
@@ -156,7 +170,7 @@ def _turn(builder: Any, rows: list[Any]) -> list[Any]:
 
 
 class Copy(Protocol):
-    """to[at : at + width] = source[start : start + width]."""
+    """A row to a row, as it is (``row_copy``) or averaged with what is there (``row_mean``)."""
 
     def __call__(self, to: Floats, at: int, source: Floats, start: int, width: int) -> None:
         """``width`` is a constant."""
@@ -200,6 +214,7 @@ class Pointers(Protocol):
 
 pointers = cast(Pointers, intrinsic(_pointers))
 row_copy = cast(Copy, intrinsic(prefer_literal=True)(_row_copy))
+row_mean = cast(Copy, intrinsic(prefer_literal=True)(_row_mean))
 row_scale = cast(Scaled, intrinsic(prefer_literal=True)(_row_scale))
 row_add = cast(Scaled, intrinsic(prefer_literal=True)(_row_add))
 row_take = cast(Take, intrinsic(prefer_literal=True)(_row_take))

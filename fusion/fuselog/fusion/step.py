@@ -7,7 +7,7 @@ gain: P = (I - G H) P (I - G H)' + G R G' (Bezmen 2019 holds eq. 26 only for the
 import math
 
 from fuselog.fusion.blank import ANGLES, LD, WIDTH, N, U, observe, predict
-from fuselog.fusion.rows import row_add, row_copy, row_scale, row_take, transpose
+from fuselog.fusion.rows import row_add, row_copy, row_mean, row_scale, row_take, transpose
 from fuselog.fusion.scalars import wrap
 from fuselog.fusion.tables import NEVER, Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
@@ -35,8 +35,7 @@ def symmetrise(s: Floats, P: int, w: Floats) -> None:
     """P = (P + P') / 2."""
     transpose(w, 0, s, P, LD)
     for i in range(N):
-        row_scale(s, P + i * LD, s, P + i * LD, 0.5, LD)
-        row_add(s, P + i * LD, w, i * LD, 0.5, LD)
+        row_mean(s, P + i * LD, w, i * LD, LD)
 
 
 @inline
@@ -87,11 +86,16 @@ def take_input(history: History, k: int, M: int) -> None:
 @inline
 def correct(tables: Tables, history: History, work: Work, k: int, sensor: int) -> int:
     """Correct the state of entry k by its sample; returns what became of the sample."""
-    if not ready(tables, history, work, k, sensor):
+    m = tables.rows[sensor]
+    if all_known(history, k):
+        for i in range(m):
+            work.active[i] = i
+    elif not ready(tables, history, work, k, sensor):
         return UNINITIALISED
-    m = seed(tables, history, work, k, sensor)
-    if m == 0:
-        return FUSED
+    else:
+        m = seed(tables, history, work, k, sensor)
+        if m == 0:
+            return FUSED
     innovate(tables, history, work, k, sensor, m)
     weigh(tables, history, work, k, sensor, m)
     if not cholesky(work.S, work.L, m):
@@ -130,6 +134,15 @@ def measure(tables: Tables, history: History, work: Work, k: int, sensor: int, i
     work.hv[at * WIDTH] = 1.0
     work.hn[at] = 1
     return history.state[k * ROW + what]
+
+
+@inline
+def all_known(history: History, k: int) -> bool:
+    """Whether no state waits for its first measurement any more."""
+    known = 0.0
+    for i in range(N):
+        known += history.state[k * ROW + KNOWN + i]
+    return known == N
 
 
 @inline

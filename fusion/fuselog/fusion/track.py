@@ -27,7 +27,7 @@ class Track:
     decision: NDArray[np.uint8]  # (n,) of Decision
     nis: NDArray[np.float64]  # (n,) NaN where the sample was not tried
     dof: NDArray[np.int64]  # (n,)
-    x: NDArray[np.float64]  # (n, N)
+    x: NDArray[np.float64]  # (n, N) NaN for a state that waits for its first measurement
     P: NDArray[np.float64]  # (n, N (N + 1) / 2) upper triangle, row by row
     innovation: NDArray[np.float64]  # (n, M)
     innovation_variance: NDArray[np.float64]  # (n, M)

@@ -5,6 +5,7 @@ import zlib
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import Any, cast
 
 import lz4.frame  # pyright: ignore[reportMissingTypeStubs]  lz4 ships no stubs
@@ -17,6 +18,7 @@ from fuselog.schemas.errors import LogError
 
 _WAITING = 2  # chunks that may wait for the thread before the caller does
 _ZSTD_LEVEL = 1
+_LZ4_LEVEL = -20  # below 0 is acceleration: 2.5 times the speed for a tenth more bytes of estimates
 
 
 def compressor(compression: str) -> Callable[[memoryview], bytes]:
@@ -24,7 +26,7 @@ def compressor(compression: str) -> Callable[[memoryview], bytes]:
     if compression == "zstd":
         return zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress
     if compression == "lz4":
-        return cast(Callable[[memoryview], bytes], cast(Any, lz4.frame).compress)
+        return partial(cast(Callable[..., bytes], cast(Any, lz4.frame).compress), compression_level=_LZ4_LEVEL)
     if compression == "":
         return bytes
     raise ValueError(f"compression {compression!r}: not one of 'zstd', 'lz4', ''")

@@ -59,6 +59,8 @@ class CdrEncoder:
         if stamp is not None:
             leaves = stamp_leaves(schema_name, root, split_path(schema_name, stamp))
             self._stamp = [(layout.numbers(join_path(path))[0][1], scale) for path, scale in leaves]
+        varying = [slot for _, slot in slots] + [slot for slot, _ in self._stamp]
+        self._fixed = _gaps([(slot.offset, slot.offset + slot.dtype.itemsize) for slot in varying], self.size)
 
     def encode(
         self, t_ns: NDArray[np.int64], values: NDArray[np.float64], *, out: NDArray[np.uint8] | None = None
@@ -72,7 +74,8 @@ class CdrEncoder:
         if values.shape != (n, len(self.paths)):
             raise ValueError(f"values are {values.shape}, not {(n, len(self.paths))}")
         data = (np.empty(n * self.size, np.uint8) if out is None else out).reshape(n, self.size)
-        data[:] = self._template
+        for first, last in self._fixed:
+            data[:, first:last] = self._template[first:last]
         rest = t_ns
         for slot, scale in self._stamp:
             whole, rest = np.divmod(rest, scale) if scale > 1 else (rest, rest)
@@ -95,6 +98,12 @@ def _holds(dtype: "np.dtype[np.generic]", values: NDArray[np.number]) -> bool:
         return True
     limits = np.iinfo(dtype.str)
     return bool(np.all((values >= limits.min) & (values < limits.max + 1) & (np.rint(values) == values)))
+
+
+def _gaps(taken: list[tuple[int, int]], size: int) -> list[tuple[int, int]]:
+    """The stretches (first, last) of ``size`` bytes that are not taken."""
+    edges = [(0, 0), *sorted(taken), (size, size)]
+    return [(before, after) for (_, before), (after, _) in pairwise(edges) if before < after]
 
 
 def _runs(slots: list[_Slot]) -> list[tuple[int, int, _Slot]]:
