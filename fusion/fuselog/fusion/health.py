@@ -186,6 +186,8 @@ def _refused(window: Window) -> list[str]:
     reasons: list[str] = []
     for decision in Decision:
         share = np.count_nonzero(window.decision == decision) / n
+        if decision == Decision.INVALID_UNINITIALISED and window.decision[-1] != decision:
+            continue  # that was while the filter started
         if decision >= Decision.INVALID_NAN and share:
             kind = decision.name.removeprefix("INVALID_").lower()
             reasons.append(f"invalid ({kind}): {share:.0%} of the last {n} samples")
