@@ -36,8 +36,13 @@ sensors:
     fuse: [vx, vy, yaw_rate]
     gate: 0.999
 lag: {window: 0.5 s}
+output: {rate: RATE}
 """
-ORDERS = ("by_stamp", "as_received")
+CASES = {  # order, output.rate
+    "by_stamp, 50 estimates/s": ("by_stamp", "50"),
+    "as_received, 50 estimates/s": ("as_received", "50"),
+    "by_stamp, one a sample": ("by_stamp", "null"),
+}
 GOAL_RATE, GOAL_MEMORY = 150e3, 500  # messages per second, MB
 
 
@@ -64,9 +69,9 @@ def make_log(path: Path, count: int) -> None:
     write_log(path, [inertial, odometry(t, speed=1 + rng.normal(0, 0.1, wheel), yaw_rate=0.1)], chunk_bytes=1 << 20)
 
 
-def run(log: Path, order: str, out: Path, profile: str) -> None:
+def run(log: Path, order: str, rate: str, out: Path, profile: str) -> None:
     """One run in a process of its own, after a short one that loads the kernels."""
-    plan = compile_plan(*parse_config(CONFIG))
+    plan = compile_plan(*parse_config(CONFIG.replace("RATE", rate)))
     with open_log(log.with_name("short.mcap")) as short:
         reprocess_to(short, plan, out, order=order)
     tool = cProfile.Profile()
@@ -90,39 +95,39 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--profile", action="store_true", help="print where the time goes")
     parser.add_argument("--make", nargs=2, help=argparse.SUPPRESS)
-    parser.add_argument("--run", nargs=4, help=argparse.SUPPRESS)
+    parser.add_argument("--run", nargs=5, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.make:
         make_log(Path(options.make[0]), int(options.make[1]))
         return
     if options.run:
-        log, order, out, profile = options.run
-        run(Path(log), order, Path(out), profile)
+        log, order, rate, out, profile = options.run
+        run(Path(log), order, rate, Path(out), profile)
         return
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "husky.mcap"
         for name, count in (("husky", options.messages), ("short", 1000)):
             _call("--make", str(Path(folder) / f"{name}.mcap"), str(count))
         print(f"{options.messages} messages, {log.stat().st_size / 1e6:.0f} MB; {options.rounds} rounds, in turn")
-        print(f"{'order':<12} {'msg/s best':>11} {'median':>9} {'CPU s':>7} {'peak MB':>8} {'output MB':>10}")
-        found: dict[str, list[list[float]]] = {order: [] for order in ORDERS}
+        print(f"{'':<28} {'msg/s best':>11} {'median':>9} {'CPU s':>7} {'peak MB':>8} {'output MB':>10}")
+        found: dict[str, list[list[float]]] = {case: [] for case in CASES}
         for _ in range(options.rounds):
-            for order in ORDERS:
-                found[order].append(_measure(log, order, Path(folder) / "out.mcap", ""))
-        for order, rows in found.items():
+            for case in CASES:
+                found[case].append(_measure(log, case, Path(folder) / "out.mcap", ""))
+        for case, rows in found.items():
             rates = sorted(row[0] / row[1] for row in rows)
             best, median = rates[-1], float(np.median(rates))
             cpu, memory, size = (f(row[k] for row in rows) for f, k in ((min, 2), (max, 3), (max, 4)))
-            print(f"{order:<12} {best:>11,.0f} {median:>9,.0f} {cpu:>7.2f} {memory:>8.0f} {size:>10.0f}")
+            print(f"{case:<28} {best:>11,.0f} {median:>9,.0f} {cpu:>7.2f} {memory:>8.0f} {size:>10.0f}")
         print(f"goals: {GOAL_RATE:,.0f} messages per second, {GOAL_MEMORY} MB")
-        for order in ORDERS if options.profile else ():
-            _measure(log, order, Path(folder) / "out.mcap", f"{folder}/{order}.prof")
-            print(f"\n{order}, with the profiler on:")
-            pstats.Stats(f"{folder}/{order}.prof").sort_stats("tottime").print_stats(25)
+        for case in CASES if options.profile else ():
+            _measure(log, case, Path(folder) / "out.mcap", f"{folder}/profile")
+            print(f"\n{case}, with the profiler on:")
+            pstats.Stats(f"{folder}/profile").sort_stats("tottime").print_stats(25)
 
 
-def _measure(log: Path, order: str, out: Path, profile: str) -> list[float]:
-    return [float(number) for number in _call("--run", str(log), order, str(out), profile).split()]
+def _measure(log: Path, case: str, out: Path, profile: str) -> list[float]:
+    return [float(number) for number in _call("--run", str(log), *CASES[case], str(out), profile).split()]
 
 
 def _call(*arguments: str) -> str:

@@ -155,14 +155,18 @@ def bind_rows(
             continue
         for part in range(len(recipe.shape)):
             read_part(recipe, values[n], part, matrix, undo, turned, datum, full)
-        gather(recipe, values[n], C)
         if turned:
+            gather(recipe, values[n], C)
             turn(recipe, C, half, matrix)
         for i in range(m):
             z[row, i] = full[recipe.pick[i]] * recipe.scale[i] + recipe.offset[i]
-            for j in range(m):
-                entry = 0.5 * (C[recipe.pick[i], recipe.pick[j]] + C[recipe.pick[j], recipe.pick[i]])
-                R[row, i * m + j] = noise(recipe, i, j, entry)
+            for j in range(i + 1):
+                a, b = recipe.pick[i], recipe.pick[j]
+                if turned:
+                    entry = 0.5 * (C[a, b] + C[b, a])
+                else:
+                    entry = 0.5 * (stated(recipe, values[n], a, b) + stated(recipe, values[n], b, a))
+                R[row, i * m + j] = R[row, j * m + i] = noise(recipe, i, j, entry)
         for i in range(SAMPLE_WIDTH):
             if recipe.extra[i] >= 0:
                 z[row, M + i] = values[n, recipe.extra[i]]
@@ -207,8 +211,14 @@ def gather(recipe: Recipe, row: Row, C: Row) -> None:
     """The covariance of all quantities as the message has it; 0 where it has none."""
     for i in range(len(C)):
         for j in range(len(C)):
-            column = recipe.covariance[i, j]
-            C[i, j] = row[column] if column >= 0 else 0.0
+            C[i, j] = stated(recipe, row, i, j)
+
+
+@inline
+def stated(recipe: Recipe, row: Row, i: int, j: int) -> float:
+    """The covariance of two quantities as the message states it; 0 where it does not."""
+    column = recipe.covariance[i, j]
+    return row[column] if column >= 0 else 0.0
 
 
 @inline
