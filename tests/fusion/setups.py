@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from tests.fusion.reference import MOTIONS, Motion, Place
 
 from fuselog.fusion import Engine, Events, Plan, compile_plan, parse_config
-from fuselog.fusion.kernels import kernel_module
-from fuselog.fusion.tables import SAMPLE_WIDTH
+from fuselog.fusion.kernel.cache import kernel_module
+from fuselog.fusion.kernel.tables import SAMPLE_WIDTH
 
 LEVER, STATION = (0.4, -0.3, 0.2), (-60.0, 45.0, 3.0)
 MOUNT = {"xyz": list(LEVER)}

@@ -12,7 +12,7 @@ from tests.logs import Topic, fix, imu, messages_of, odometry, static_transform
 from fuselog.fusion import Decision, Events
 from fuselog.fusion.events import join
 from fuselog.fusion.intake import Intake
-from fuselog.fusion.tables import SAMPLE_WIDTH
+from fuselog.fusion.kernel.tables import SAMPLE_WIDTH
 from fuselog.schemas import Messages
 
 T = 5_000_000_000

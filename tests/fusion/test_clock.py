@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuselog.fusion.clock import ClockGuard
 from fuselog.fusion.events import Decision, blank_events
+from fuselog.fusion.intake import ClockGuard
 
 S = 1_000_000_000
 STEP = 60 * S

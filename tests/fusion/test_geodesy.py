@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fuselog.fusion.geodesy import enu_from_geodetic
-from fuselog.fusion.mounts import Mount, StaticTransforms
+from fuselog.fusion.intake.mounts import Mount, StaticTransforms
 from fuselog.fusion.rotations import (
     matrix_from_quaternion,
     quaternion_product,

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.fusion.setups import MEASURED, Sample, events_of, setup
 
 from fuselog.fusion import Decision, Engine, Events, Plan, Track, join_tracks
-from fuselog.fusion.order import StampOrder
+from fuselog.fusion.intake import StampOrder
 
 START, MS = 1_000_000_000, 1_000_000
 WINDOW_MS = 200

@@ -19,7 +19,7 @@ from tests.fusion.setups import (
 )
 
 from fuselog.fusion import Decision, Engine, Events, Plan, Track
-from fuselog.fusion.kernels import kernel_module
+from fuselog.fusion.kernel.cache import kernel_module
 from fuselog.fusion.track import unpack
 
 INPUTS = ("wheel", "before")

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from fuselog.fusion import compile_plan, parse_config
 from fuselog.fusion.config import settings
-from fuselog.fusion.kernels import MODEL_NAMES, model_card
+from fuselog.fusion.kernel.cache import MODEL_NAMES, model_card
 from fuselog.service.api import create_app
 from fuselog.service.cli import make_app
 
@@ -128,7 +128,7 @@ def test_python_runs(page, tmp_path, monkeypatch, capsys):
     for text in re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
         exec(compile(text, str(page), "exec"), names)
     if page.name == "models.md":
-        from fuselog.fusion.codegen import generate
+        from fuselog.fusion.kernel.codegen import generate
 
         assert "N = 2  # x vx" in generate(names["rail"](), {})
 

@@ -4,10 +4,10 @@ from fuselog.fusion.config import Config, load_config, parse_config
 from fuselog.fusion.engine import Engine, Estimate, Snapshot
 from fuselog.fusion.events import Decision, Events
 from fuselog.fusion.filter import Filter, Order
+from fuselog.fusion.intake import Stream
 from fuselog.fusion.ledger import Account, Ledger
 from fuselog.fusion.outputs import Output, Outputs
 from fuselog.fusion.plan import Plan, compile_plan, load_plan
-from fuselog.fusion.stream import Stream
 from fuselog.fusion.track import Track, join_tracks
 
 __all__ = [

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision, Events
-from fuselog.fusion.kernels import kernel_module
+from fuselog.fusion.kernel.cache import kernel_module
+from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Work
 from fuselog.fusion.plan import Plan
-from fuselog.fusion.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Work
 from fuselog.fusion.track import Track
 
 _FIRST_CAPACITY = 64  # entries; the history grows with what the window holds

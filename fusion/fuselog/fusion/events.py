@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.tables import SAMPLE_WIDTH
+from fuselog.fusion.kernel.tables import SAMPLE_WIDTH
 
 
 class Decision(IntEnum):

@@ -4,12 +4,10 @@ from typing import Literal
 
 import numpy as np
 
-from fuselog.fusion.clock import ClockGuard
 from fuselog.fusion.engine import Engine, Estimate
 from fuselog.fusion.events import Decision, Events, blank_events
-from fuselog.fusion.intake import Intake
+from fuselog.fusion.intake import ClockGuard, Intake, StampOrder
 from fuselog.fusion.ledger import Ledger, make_ledger
-from fuselog.fusion.order import StampOrder
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.track import Track
 from fuselog.schemas import Messages

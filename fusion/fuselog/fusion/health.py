@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from fuselog.fusion.engine import Estimate
 from fuselog.fusion.events import Decision
 from fuselog.fusion.gate import chi_square_quantile
+from fuselog.fusion.intake import same_topic
 from fuselog.fusion.ledger import Account, Ledger
-from fuselog.fusion.plan import Plan
-from fuselog.fusion.sensors import SensorPlan
-from fuselog.fusion.stream import same_topic
+from fuselog.fusion.plan import Plan, SensorPlan
 from fuselog.fusion.track import Track
 
 Status = Literal["ok", "degraded", "waiting"]

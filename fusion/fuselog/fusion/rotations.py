@@ -1,10 +1,9 @@
 """Attitudes as quaternions (x y z w), matrices and roll pitch yaw, for kernels."""
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
+from fuselog.fusion.kernel.scalars import asin, atan2, cos, sin
 from fuselog.schemas.compiled import inline, kernel
 
 Floats = NDArray[np.float64]
@@ -29,9 +28,9 @@ def rpy_from_quaternion(x: float, y: float, z: float, w: float) -> tuple[float, 
     """Roll, pitch, yaw of a quaternion of any length but 0: R = Rz(yaw) Ry(pitch) Rx(roll)."""
     square = x * x + y * y + z * z + w * w
     sine = min(1.0, max(-1.0, 2.0 * (w * y - z * x) / square))
-    roll = math.atan2(2.0 * (w * x + y * z), square - 2.0 * (x * x + y * y))
-    yaw = math.atan2(2.0 * (w * z + x * y), square - 2.0 * (y * y + z * z))
-    return roll, math.asin(sine), yaw
+    roll = atan2(2.0 * (w * x + y * z), square - 2.0 * (x * x + y * y))
+    yaw = atan2(2.0 * (w * z + x * y), square - 2.0 * (y * y + z * z))
+    return roll, asin(sine), yaw
 
 
 @kernel
@@ -49,9 +48,9 @@ def quaternions_from_rpy(rpy: Floats) -> Floats:
     """The quaternions (n, 4) x y z w of Rz(yaw) Ry(pitch) Rx(roll), for ``rpy`` (n, 3) in rad."""
     out = np.empty((len(rpy), 4))
     for n in range(len(rpy)):
-        cr, sr = math.cos(rpy[n, 0] / 2), math.sin(rpy[n, 0] / 2)
-        cp, sp = math.cos(rpy[n, 1] / 2), math.sin(rpy[n, 1] / 2)
-        cy, sy = math.cos(rpy[n, 2] / 2), math.sin(rpy[n, 2] / 2)
+        cr, sr = cos(rpy[n, 0] / 2), sin(rpy[n, 0] / 2)
+        cp, sp = cos(rpy[n, 1] / 2), sin(rpy[n, 1] / 2)
+        cy, sy = cos(rpy[n, 2] / 2), sin(rpy[n, 2] / 2)
         out[n, 0] = sr * cp * cy - cr * sp * sy
         out[n, 1] = cr * sp * cy + sr * cp * sy
         out[n, 2] = cr * cp * sy - sr * sp * cy

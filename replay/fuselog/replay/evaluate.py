@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.gate import chi_square_quantile
-from fuselog.fusion.readings import ANGLES, SAME_QUANTITY
+from fuselog.fusion.plan.readings import ANGLES, SAME_QUANTITY
 from fuselog.fusion.track import unpack
 from fuselog.replay.results import Results
 from fuselog.replay.truth import Truth

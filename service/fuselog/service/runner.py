@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from fuselog.fusion import Estimate, Filter, Ledger, Outputs, Plan, Track, join_tracks
 from fuselog.fusion.health import Health, Losses, Recent, assess, no_samples, remember
-from fuselog.fusion.stream import same_topic
+from fuselog.fusion.intake import same_topic
 from fuselog.service.inbox import Inbox
 from fuselog.service.outbox import Outbox
 from fuselog.service.sources import Progress, Sources

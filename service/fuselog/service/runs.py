@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion import Plan, compile_plan, parse_config
-from fuselog.fusion.tables import Role
+from fuselog.fusion.kernel.tables import Role
 from fuselog.replay.results import Decisions, Results, read_results
 from fuselog.schemas import LogError
 from fuselog.service.view_draw import Color

@@ -7,8 +7,7 @@ import orjson
 import zenoh
 
 from fuselog.fusion import Stream
-from fuselog.fusion.intake import TF_STATIC, Intake
-from fuselog.fusion.stream import same_topic
+from fuselog.fusion.intake import TF_STATIC, Intake, same_topic
 from fuselog.schemas import FuselogError, SchemaError, definition
 from fuselog.service.wire import message_type
 from fuselog.service.zenoh_door import answer, ask

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import zenoh
 
 from fuselog.fusion.config.settings import ZenohSettings
-from fuselog.fusion.stream import same_topic
+from fuselog.fusion.intake import same_topic
 from fuselog.schemas import FuselogError
 from fuselog.service.zenoh_door import configuration
 

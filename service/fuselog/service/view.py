@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fuselog.fusion import Decision
 from fuselog.fusion.gate import chi_square_quantile
-from fuselog.fusion.readings import PARTS, SAME_QUANTITY
+from fuselog.fusion.plan.readings import PARTS, SAME_QUANTITY
 from fuselog.replay import Log, open_log
 from fuselog.replay.measured import BEACON, Measured, read_measured
 from fuselog.replay.results import Decisions, Results

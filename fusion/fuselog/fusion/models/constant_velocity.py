@@ -6,7 +6,7 @@
 
 import sympy as sp
 
-from fuselog.fusion.model import DT, Body, Model, symbols, white_acceleration
+from fuselog.fusion.models.model import DT, Body, Model, symbols, white_acceleration
 
 
 def constant_velocity() -> Model:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import sympy as sp
 
-from fuselog.fusion.model import DT, Body, Expr, Model, symbols, white_noise
+from fuselog.fusion.models.model import DT, Body, Expr, Model, symbols, white_noise
 
 _DENSITIES = {
     **{"x": 0.05, "y": 0.05, "z": 0.06, "roll": 0.03, "pitch": 0.03, "yaw": 0.06},

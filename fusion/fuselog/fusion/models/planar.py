@@ -6,7 +6,7 @@
 
 import sympy as sp
 
-from fuselog.fusion.model import DT, Body, Expr, Model, sinc, symbols, white_noise
+from fuselog.fusion.models.model import DT, Body, Expr, Model, sinc, symbols, white_noise
 
 
 def _arc(x: Expr, y: Expr, yaw: Expr, v: Expr, yaw_rate: Expr) -> dict[str, Expr]:

@@ -13,7 +13,7 @@ def check(
 ) -> None:
     """Validate a configuration; with a log, say which topic feeds what, without fusing anything."""
     from fuselog.fusion import Filter, load_plan  # noqa: PLC0415  slow to import
-    from fuselog.fusion.tables import Role  # noqa: PLC0415  slow to import
+    from fuselog.fusion.kernel.tables import Role  # noqa: PLC0415  slow to import
     from fuselog.replay import open_log  # noqa: PLC0415  slow to import
     from fuselog.replay.reprocess import open_inputs  # noqa: PLC0415  slow to import
 

@@ -19,16 +19,17 @@ from fuselog.schemas.errors import FuselogError
 _HERE = Path(__file__).parent
 MODEL_NAMES = ("constant_velocity", "unicycle", "differential_drive", "omni3d")
 _COMPILED = ("step.py", "advance.py")  # the text that is compiled together with a generated model
-_SOURCES = (*_COMPILED, "model.py", "quantities.py", "codegen.py", "rows.py", "scalars.py", "tables.py")
-_OWN_IMPORTS = ("from fuselog.fusion.blank import", "from fuselog.fusion.step import")
+_SOURCES = (_HERE, _HERE.parent / "models")  # what a kernel is made of
+_OWN_IMPORTS = ("from fuselog.fusion.kernel.blank import", "from fuselog.fusion.kernel.step import")
 _HEAD = '''"""Made by fuselog from the model {name}; delete freely."""
 
 import math
-from math import atan2, cos, sin, sqrt, tan
+from math import sqrt
 
 import numpy as np
 
-from fuselog.fusion.scalars import dsinc, sinc, wrap
+from fuselog.fusion.kernel.rows import mirror, row_sum, transpose
+from fuselog.fusion.kernel.scalars import asin, atan2, cos, dsinc, sin, sinc, tan, wrap
 from fuselog.schemas.compiled import inline
 
 '''
@@ -58,7 +59,7 @@ def model_card(name: str) -> ModelCard:
     path = cache_folder() / _key(name) / "card.json"
     if path.is_file():
         return ModelCard(**json.loads(path.read_text()))
-    from fuselog.fusion.quantities import quantities  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
+    from fuselog.fusion.models.quantities import quantities  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
 
     model = _declare(name)
     planar_pose = all(state in model.states for state in ("x", "y", "yaw"))
@@ -78,8 +79,8 @@ def kernel_module(name: str, measured: Sequence[str]) -> ModuleType:
     """The module with ``advance`` for a model and the quantities that its sensors measure, in this order."""
     path = cache_folder() / _key(name, *measured) / f"{name}.py"
     if not path.is_file():
-        from fuselog.fusion.codegen import generate  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
-        from fuselog.fusion.quantities import quantities  # noqa: PLC0415  the same
+        from fuselog.fusion.kernel.codegen import generate  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
+        from fuselog.fusion.models.quantities import quantities  # noqa: PLC0415  the same
 
         model = _declare(name)
         available = quantities(model.body)
@@ -102,8 +103,7 @@ def _filter_text() -> str:
 
 def _key(*parts: str) -> str:
     digest = hashlib.sha256()
-    texts = [(_HERE / source).read_text() for source in _SOURCES]
-    texts += [path.read_text() for path in sorted((_HERE / "models").glob("*.py"))]
+    texts = [path.read_text() for folder in _SOURCES for path in sorted(folder.glob("*.py"))]
     versions = [importlib.metadata.version(package) for package in ("numba", "llvmlite", "numpy")]
     for text in (*texts, *versions, platform.python_version(), *parts):
         digest.update(text.encode() + b"\0")

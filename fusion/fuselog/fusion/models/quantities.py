@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import sympy as sp
 
-from fuselog.fusion.model import Body, Expr
+from fuselog.fusion.models.model import Body, Expr
 from fuselog.fusion.models.omni3d import rotation
 
 # What the expressions may use beside the state, in the order in which kernels receive it.

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision, Events
-from fuselog.fusion.tables import NEVER, Bytes, Ints
+from fuselog.fusion.kernel.tables import NEVER, Bytes, Ints
 from fuselog.schemas.compiled import kernel
 
 _CONFIRMATIONS = 3  # samples in a row that make a jump a fact: the log paused, or the clock was set

@@ -6,9 +6,9 @@ from typing import Any, cast
 import numpy as np
 
 from fuselog.fusion.config import Config, Problem, did_you_mean
-from fuselog.fusion.kernels import ModelCard
-from fuselog.fusion.sensors import SensorPlan
-from fuselog.fusion.tables import Gain, Role
+from fuselog.fusion.kernel.cache import ModelCard
+from fuselog.fusion.kernel.tables import Gain, Role
+from fuselog.fusion.plan.sensors import SensorPlan
 
 _SLACK = 1e-9  # that a sum of weights may be off by, for 1/3 + 1/3 + 1/3
 

@@ -8,6 +8,7 @@ counting references to arrays would cost more than the arithmetic.
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
 # pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportUnknownLambdaType=false
 
+from collections.abc import Iterator
 from typing import Any, Protocol, TypeVar, cast
 
 from llvmlite import ir  # pyright: ignore[reportMissingTypeStubs]  llvmlite ships no stubs
@@ -19,6 +20,7 @@ Floats = Any  # a pointer to float64
 
 _BYTES = 8  # of a float64
 _BLOCK = 4  # rows and columns that are transposed at a time
+_NARROW = 8  # lanes up to which four rows fit the registers of every processor
 
 
 def _pointers(typing, arrays):  # noqa: ARG001  numba reads this signature
@@ -54,6 +56,10 @@ def _spread(builder: Any, value: Any, width: int) -> Any:
 
 def _load(builder: Any, place: Any) -> Any:
     return builder.load(place, align=_BYTES)
+
+
+def _unpack(builder: Any, values: Any) -> list[Any]:
+    return [builder.extract_value(values, i) for i in range(values.type.count)]
 
 
 def _fixed(width: Any) -> bool:
@@ -101,18 +107,22 @@ def _row_add(typing, to, at, source, start, factor, width):  # noqa: ARG001  num
     return (signature, emit) if _fixed(width) else None
 
 
-def _row_mean(typing, to, at, source, start, width):  # noqa: ARG001  numba reads this signature
-    """to[at : at + width] = (to[at : at + width] + source[start : start + width]) / 2."""
+def _row_sum(typing, to, at, source, starts, factors, width):  # noqa: ARG001  numba reads this signature
+    """to[at : at + width] = the sum of factors[i] * source[starts[i] : starts[i] + width]."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
-        lanes = width.literal_value
-        target = _row(builder, arguments[0], arguments[1], lanes)
-        total = builder.fadd(_load(builder, target), _load(builder, _row(builder, arguments[2], arguments[3], lanes)))
-        half = _spread(builder, ir.Constant(ir.DoubleType(), 0.5), lanes)
-        builder.store(builder.fmul(half, total), target, align=_BYTES)
+        to, at, source, starts, factors, _ = arguments
+        lanes, total = width.literal_value, None
+        for start, factor in zip(_unpack(builder, starts), _unpack(builder, factors), strict=True):
+            term = builder.fmul(_spread(builder, factor, lanes), _load(builder, _row(builder, source, start, lanes)))
+            total = term if total is None else builder.fadd(total, term)
+        builder.store(total, _row(builder, to, at, lanes), align=_BYTES)
         return context.get_dummy_value()
 
-    return (types.void(to, types.intp, source, types.intp, width), emit) if _fixed(width) else None
+    signature = types.void(
+        to, types.intp, source, types.UniTuple(types.intp, len(starts)), types.UniTuple(types.float64, len(factors)), width
+    )
+    return (signature, emit) if _fixed(width) else None
 
 
 def _row_take(typing, to, at, source, start, factors, first, stride, count, width):  # noqa: ARG001  numba reads this signature
@@ -139,6 +149,46 @@ def _row_take(typing, to, at, source, start, factors, first, stride, count, widt
     return (signature, emit) if _fixed(width) else None
 
 
+def _take_outer(typing, to, at, left, a, right, b, count, height, width, upper):  # noqa: ARG001  numba reads this signature
+    """Row i < height of the matrix at ``at`` -= sum over c < count of left[a + c width + i] * row c from ``b`` of right.
+
+    ``upper``: only from the block of the diagonal on; what is left of it keeps what it had.
+    """
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        to, at, left, a, right, b, count, *_ = arguments
+        stride, number = width.literal_value, at.type
+        for first, rows, column in _bands(height.literal_value, stride, upper.literal_value):
+            lanes = stride - column
+            targets = [
+                _row(builder, to, builder.add(at, number((first + r) * stride + column)), lanes) for r in range(rows)
+            ]
+            totals = [cgutils.alloca_once_value(builder, _load(builder, target)) for target in targets]
+            with cgutils.for_range(builder, count) as loop:
+                line = builder.mul(loop.index, number(stride))
+                row = _load(builder, _row(builder, right, builder.add(builder.add(b, number(column)), line), lanes))
+                for r, total in enumerate(totals):
+                    factor = _load(builder, builder.gep(left, [builder.add(builder.add(a, number(first + r)), line)]))
+                    scaled = builder.fmul(_spread(builder, factor, lanes), row)
+                    builder.store(builder.fsub(builder.load(total), scaled), total)
+            for target, total in zip(targets, totals, strict=True):
+                builder.store(builder.load(total), target, align=_BYTES)
+        return context.get_dummy_value()
+
+    signature = types.void(to, types.intp, left, types.intp, right, types.intp, types.intp, height, width, upper)
+    return (signature, emit) if _fixed(width) and _fixed(height) and isinstance(upper, types.BooleanLiteral) else None
+
+
+def _bands(height: int, stride: int, upper: bool) -> Iterator[tuple[int, int, int]]:
+    """Rows to work on together: first row, how many, first column. As many as registers hold, with what they share."""
+    first = 0
+    while first < height:
+        column = first // _BLOCK * _BLOCK if upper else 0
+        rows = min(_BLOCK if stride - column <= _NARROW else 2, height - first)
+        yield first, rows, column
+        first += rows
+
+
 def _transpose(typing, to, at, source, start, width):  # noqa: ARG001  numba reads this signature
     """The width x width matrix at ``at`` becomes the transpose of the one at ``start``, by 4 x 4 blocks."""
 
@@ -156,6 +206,31 @@ def _transpose(typing, to, at, source, start, width):  # noqa: ARG001  numba rea
     return (types.void(to, types.intp, source, types.intp, width), emit) if _fixed(width) else None
 
 
+def _mirror(typing, to, at, width):  # noqa: ARG001  numba reads this signature
+    """What lies below the diagonal of the width x width matrix at ``at`` becomes what lies above it."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        to, at, _ = arguments
+        lanes = width.literal_value
+
+        def place(row: int, column: int) -> Any:
+            return _row(builder, to, builder.add(at, at.type(row * lanes + column)), _BLOCK)
+
+        mask = ir.VectorType(ir.IntType(32), _BLOCK)
+        for i in range(0, lanes, _BLOCK):
+            for j in range(i, lanes, _BLOCK):
+                block = [_load(builder, place(i + r, j)) for r in range(_BLOCK)]
+                for r, row in enumerate(_turn(builder, block)):
+                    kept = row
+                    if i == j:  # lanes of the turned block below the diagonal, its own on and above
+                        choice = [c if c < r else _BLOCK + c for c in range(_BLOCK)]
+                        kept = builder.shuffle_vector(row, block[r], ir.Constant(mask, choice))
+                    builder.store(kept, place(j + r, i), align=_BYTES)
+        return context.get_dummy_value()
+
+    return (types.void(to, types.intp, width), emit) if _fixed(width) else None
+
+
 def _turn(builder: Any, rows: list[Any]) -> list[Any]:
     """The columns of four vectors of four."""
     mask = ir.VectorType(ir.IntType(32), _BLOCK)
@@ -170,7 +245,7 @@ def _turn(builder: Any, rows: list[Any]) -> list[Any]:
 
 
 class Copy(Protocol):
-    """A row to a row, as it is (``row_copy``) or averaged with what is there (``row_mean``)."""
+    """A row (``row_copy``), or a matrix with rows and columns changed (``transpose``)."""
 
     def __call__(self, to: Floats, at: int, source: Floats, start: int, width: int) -> None:
         """``width`` is a constant."""
@@ -180,6 +255,41 @@ class Scaled(Protocol):
     """As ``Copy``, the source times ``factor``."""
 
     def __call__(self, to: Floats, at: int, source: Floats, start: int, factor: float, width: int) -> None:
+        """``width`` is a constant."""
+
+
+class Sum(Protocol):
+    """The sum of some rows of ``source``, each with its own factor."""
+
+    def __call__(
+        self, to: Floats, at: int, source: Floats, starts: tuple[int, ...], factors: tuple[float, ...], width: int
+    ) -> None:
+        """``width`` is a constant."""
+
+
+class Outer(Protocol):
+    """Subtract a sum of outer products from a matrix."""
+
+    def __call__(
+        self,
+        to: Floats,
+        at: int,
+        left: Floats,
+        a: int,
+        right: Floats,
+        b: int,
+        count: int,
+        height: int,
+        width: int,
+        upper: bool,
+    ) -> None:
+        """``height``, ``width`` and ``upper`` are constants."""
+
+
+class Mirror(Protocol):
+    """Make a matrix symmetric."""
+
+    def __call__(self, to: Floats, at: int, width: int) -> None:
         """``width`` is a constant."""
 
 
@@ -214,8 +324,10 @@ class Pointers(Protocol):
 
 pointers = cast(Pointers, intrinsic(_pointers))
 row_copy = cast(Copy, intrinsic(prefer_literal=True)(_row_copy))
-row_mean = cast(Copy, intrinsic(prefer_literal=True)(_row_mean))
+row_sum = cast(Sum, intrinsic(prefer_literal=True)(_row_sum))
 row_scale = cast(Scaled, intrinsic(prefer_literal=True)(_row_scale))
 row_add = cast(Scaled, intrinsic(prefer_literal=True)(_row_add))
 row_take = cast(Take, intrinsic(prefer_literal=True)(_row_take))
 transpose = cast(Copy, intrinsic(prefer_literal=True)(_transpose))
+take_outer = cast(Outer, intrinsic(prefer_literal=True)(_take_outer))
+mirror = cast(Mirror, intrinsic(prefer_literal=True)(_mirror))

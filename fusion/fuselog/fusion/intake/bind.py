@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision, Events
 from fuselog.fusion.geodesy import enu
-from fuselog.fusion.mounts import Mount
-from fuselog.fusion.readings import Part, Shape
+from fuselog.fusion.intake.mounts import Mount
+from fuselog.fusion.kernel.tables import SAMPLE_WIDTH, Role
+from fuselog.fusion.plan import SensorPlan
+from fuselog.fusion.plan.readings import Part, Shape
 from fuselog.fusion.rotations import Quaternion, quaternion_product, rpy_from_quaternion
-from fuselog.fusion.sensors import SensorPlan
-from fuselog.fusion.tables import SAMPLE_WIDTH, Role
 from fuselog.schemas.compiled import inline, kernel
 
 Floats = NDArray[np.float64]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from fuselog.fusion.events import Decision, Events, blank_events, join
-from fuselog.fusion.tables import NEVER
+from fuselog.fusion.kernel.tables import NEVER
 
 
 class StampOrder:

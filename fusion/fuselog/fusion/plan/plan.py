@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.config import Config, Problem, SensorSettings, Source, did_you_mean, read_source, validate
 from fuselog.fusion.gate import chi_square_quantile
-from fuselog.fusion.kernels import MODEL_NAMES, ModelCard, model_card
-from fuselog.fusion.sensors import SensorPlan, plan_sensor
-from fuselog.fusion.tables import Role, Tables
-from fuselog.fusion.weights import gain_tables
+from fuselog.fusion.kernel.cache import MODEL_NAMES, ModelCard, model_card
+from fuselog.fusion.kernel.tables import Role, Tables
+from fuselog.fusion.plan.sensors import SensorPlan, plan_sensor
+from fuselog.fusion.plan.weights import gain_tables
 
 _AT_LEVER = {"x": "position_x", "y": "position_y", "z": "position_z"}
 _TWIST = {"vx": "twist_x", "v": "twist_x", "vy": "twist_y", "vz": "twist_z"}

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fuselog.fusion.config import Problem, SensorSettings, did_you_mean
-from fuselog.fusion.kernels import ModelCard
-from fuselog.fusion.readings import ANGLES, POLAR
-from fuselog.fusion.tables import Role
+from fuselog.fusion.kernel.cache import ModelCard
+from fuselog.fusion.kernel.tables import Role
+from fuselog.fusion.plan.readings import ANGLES, POLAR
 
 MOST_ROWS = 9  # numbers that one sample measures at most
 

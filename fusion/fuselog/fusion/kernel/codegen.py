@@ -14,8 +14,8 @@ from collections.abc import Iterable, Mapping, Sequence
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
 
-from fuselog.fusion.model import DT, Expr, Model, symbol
-from fuselog.fusion.quantities import SAMPLE, SENSOR
+from fuselog.fusion.models.model import DT, Expr, Model, symbol
+from fuselog.fusion.models.quantities import SAMPLE, SENSOR
 
 LANES = 4  # rows of P are padded to a multiple of this many numbers
 
@@ -76,10 +76,11 @@ def _predict(model: Model) -> list[str]:
         *(f"    q_{name} = q[{i}]" for i, name in enumerate(model.noise)),
         *(f"    {name} = {_text(value)}" for name, value in shared),
         *(f"    F_{i}_{j} = {_text(value)}" for (i, j), value in zip(off, jacobian, strict=True)),
-        *_product("w", 0, "s", "a + COVARIANCE", off, n),
+        *_product("w", "0", "s", "a + COVARIANCE", off, n, upper=False),
         "    transpose(w, LD * LD, w, 0, LD)",
-        *_product("s", "b + COVARIANCE", "w", "LD * LD", off, n),
+        *_product("s", "b + COVARIANCE", "w", "LD * LD", off, n, upper=True),
         *(f"    s[b + COVARIANCE + {i} * LD + {j}] += {_text(value)}" for (i, j), value in zip(Q, noise, strict=True)),
+        "    mirror(s, b + COVARIANCE, LD)",
         *(
             f"    s[b + {i}] = {'wrap(' + _text(value) + ')' if model.angles[i] else _text(value)}"
             for i, value in enumerate(moved)
@@ -89,7 +90,7 @@ def _predict(model: Model) -> list[str]:
 
 
 def _process_noise(model: Model, after: sp.Matrix) -> dict[tuple[int, int], Expr]:
-    """Non-zero entries of Q: the model's own, and B diag(u) B'/dt of the inputs' noise densities."""
+    """Non-zero entries of Q on and above the diagonal: the model's own, and B diag(u) B'/dt of the inputs' noise densities."""
     index = {name: i for i, name in enumerate(model.names)}
     Q = sp.zeros(len(index))
     for (row, column), entry in model.covariance.items():
@@ -102,23 +103,19 @@ def _process_noise(model: Model, after: sp.Matrix) -> dict[tuple[int, int], Expr
         root = B.applyfunc(lambda entry: sp.expand(entry / DT))
         U = sp.diag(*(sp.Symbol(f"U_{name}", nonnegative=True) for name in model.inputs))
         Q += (root * U * root.T) * DT
-    return {(i, j): Q[i, j] for i in range(Q.rows) for j in range(Q.cols) if Q[i, j] != 0}
+    return {(i, j): Q[i, j] for i in range(Q.rows) for j in range(i, Q.cols) if Q[i, j] != 0}
 
 
-def _product(out: str, to: int | str, source: str, at: int | str, off: Iterable[tuple[int, int]], n: int) -> list[str]:
-    """Lines for out = F source, row by row; a row of F that is a row of the identity is a copy."""
-    lines: list[str] = []
-    off = list(off)
+def _product(out: str, to: str, source: str, at: str, off: Iterable[tuple[int, int]], n: int, *, upper: bool) -> list[str]:
+    """Lines for out = F source, row by row; of a symmetric product only from the block of the diagonal on."""
+    off, lines, width = set(off), [], -(-n // LANES) * LANES
     for i in range(n):
-        terms = [(j, f"F_{i}_{j}") for k, j in off if k == i]
-        if (i, i) not in off:
-            lines.append(f"    row_copy({out}, {to} + {i} * LD, {source}, {at} + {i} * LD, LD)")
-        else:
-            terms.remove((i, f"F_{i}_{i}"))
-            lines.append(f"    row_scale({out}, {to} + {i} * LD, {source}, {at} + {i} * LD, F_{i}_{i}, LD)")
-        lines += [
-            f"    row_add({out}, {to} + {i} * LD, {source}, {at} + {j} * LD, {factor}, LD)" for j, factor in terms
-        ]
+        column = i // LANES * LANES if upper else 0
+        terms = {i: "1.0"} | {j: f"F_{k}_{j}" for k, j in sorted(off) if k == i}
+        starts = "".join(f"{at} + {j} * LD + {column}, " for j in terms)
+        factors = "".join(f"{factor}, " for factor in terms.values())
+        place = f"{to} + {i} * LD + {column}"
+        lines.append(f"    row_sum({out}, {place}, {source}, ({starts}), ({factors}), {width - column})")
     return lines
 
 

@@ -8,7 +8,7 @@ checked and imported by itself.
 
 import numpy as np
 
-from fuselog.fusion.tables import Floats, Ints
+from fuselog.fusion.kernel.tables import Floats, Ints
 
 N = 1  # states
 LD = 4  # numbers from one row of P to the next

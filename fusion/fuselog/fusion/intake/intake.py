@@ -7,14 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.bind import Binder, make_binder, without_noise
 from fuselog.fusion.config import Problem, did_you_mean
 from fuselog.fusion.events import Decision, Events, blank_events, join
-from fuselog.fusion.mounts import IDENTITY, Mount, StaticTransforms, check_transforms, configured_mount
-from fuselog.fusion.plan import Plan
-from fuselog.fusion.readings import PARTS, Shape, sensor_parts
-from fuselog.fusion.sensors import SensorPlan
-from fuselog.fusion.stream import Stream, own_messages, same_topic
+from fuselog.fusion.intake.bind import Binder, make_binder, without_noise
+from fuselog.fusion.intake.mounts import IDENTITY, Mount, StaticTransforms, check_transforms, configured_mount
+from fuselog.fusion.intake.stream import Stream, own_messages, same_topic
+from fuselog.fusion.plan import Plan, SensorPlan
+from fuselog.fusion.plan.readings import PARTS, Shape, sensor_parts
 from fuselog.schemas import Codec, Fault, Messages, SchemaError
 
 TF_STATIC = "/tf_static"

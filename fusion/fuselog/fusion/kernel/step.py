@@ -1,15 +1,16 @@
 """The filter: one sample applied to one state. Compiled together with the model that takes the place of ``blank``.
 
 predict -> innovate -> weigh -> gate -> gain -> correct, over flat rows. Covariance is always Joseph's form, for any
-gain: P = (I - G H) P (I - G H)' + G R G' (Bezmen 2019 holds eq. 26 only for the optimal gain).
+gain: P = (I - G H) P (I - G H)' + G R G' (Bezmen 2019 holds eq. 26 only for the optimal gain). Whatever moves P
+leaves it exactly symmetric.
 """
 
 import math
 
-from fuselog.fusion.blank import ANGLES, LD, WIDTH, N, U, observe, predict
-from fuselog.fusion.rows import row_add, row_copy, row_mean, row_scale, row_take, transpose
-from fuselog.fusion.scalars import wrap
-from fuselog.fusion.tables import NEVER, Floats, History, Tables, Work
+from fuselog.fusion.kernel.blank import ANGLES, LD, WIDTH, N, U, observe, predict
+from fuselog.fusion.kernel.rows import mirror, row_add, row_copy, row_scale, row_take, take_outer
+from fuselog.fusion.kernel.scalars import wrap
+from fuselog.fusion.kernel.tables import NEVER, Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
 
 COVARIANCE = LD  # a row of state: x and P padded with zeros to LD, input and its noise, which states are known
@@ -31,14 +32,6 @@ ABSORB, STATE = 1, 2
 
 
 @inline
-def symmetrise(s: Floats, P: int, w: Floats) -> None:
-    """P = (P + P') / 2."""
-    transpose(w, 0, s, P, LD)
-    for i in range(N):
-        row_mean(s, P + i * LD, w, i * LD, LD)
-
-
-@inline
 def step(tables: Tables, history: History, work: Work, k: int) -> None:
     """Make entry k of the history: the state of entry k - 1 at its time, corrected by its sample."""
     sensor = history.sensor[k]
@@ -55,7 +48,6 @@ def step(tables: Tables, history: History, work: Work, k: int) -> None:
         history.decision[k] = FUSED
     else:
         history.decision[k] = correct(tables, history, work, k, sensor)
-    symmetrise(history.state, k * ROW + COVARIANCE, work.rows)
 
 
 @inline
@@ -367,7 +359,7 @@ def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
     for i in range(N):
         if ANGLES[i]:
             s[b + i] = wrap(s[b + i])
-        row_take(s, P + i * LD, w, G, w, HP + i, LD, m, LD)
+    take_outer(s, P, w, HP, w, G, m, N, LD, False)
     for a in range(m):
         to = JOSEPH + a * LD
         row_scale(w, to, s, P + work.hi[a * WIDTH] * LD, work.hv[a * WIDTH], LD)
@@ -377,5 +369,5 @@ def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
             R = history.R[k * M * M + work.active[a] * rows + work.active[c]]
             if R != 0.0:
                 row_add(w, to, w, G + c * LD, -R, LD)
-    for i in range(N):
-        row_take(s, P + i * LD, w, JOSEPH, w, G + i, LD, m, LD)
+    take_outer(s, P, w, G, w, JOSEPH, m, N, LD, True)
+    mirror(s, P, LD)

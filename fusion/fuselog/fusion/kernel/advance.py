@@ -2,9 +2,9 @@
 
 import math
 
-from fuselog.fusion.rows import pointers, row_copy
-from fuselog.fusion.step import COVARIANCE, KNOWN, LD, PACKED, ROW, N, step
-from fuselog.fusion.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
+from fuselog.fusion.kernel.rows import pointers, row_copy
+from fuselog.fusion.kernel.step import COVARIANCE, KNOWN, LD, PACKED, ROW, N, step
+from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
 from fuselog.schemas.compiled import inline, kernel
 
 LATE, DUPLICATE, UNDECIDED = 2, 3, 255

@@ -1,0 +1,136 @@
+"""The scalar functions of kernels, from additions, multiplications, divisions and roots alone.
+
+Those are rounded the same everywhere, so the same input gives the same bytes on every machine; a C library's sine
+changes with the library and with the instructions that the processor has. Errors are below 3 units in the last place,
+or 2e-16 absolute near the zeros of sine and cosine.
+"""
+
+import math
+
+from fuselog.schemas.compiled import inline
+
+# pi/2 in three parts; the first two have 33 bits, so that whole multiples of them are exact
+_PI_2_HIGH = 1.57079632673412561417e00
+_PI_2_MIDDLE = 6.07710050630396597660e-11
+_PI_2_LOW = 2.02226624879595063154e-21
+_MOST_TURNS = 1e6  # the largest angle (rad) that is reduced by them; greater ones first lose whole turns
+
+
+@inline
+def wrap(angle: float) -> float:
+    """The same angle in (-pi, pi]."""
+    if -math.pi < angle <= math.pi:
+        return angle
+    turned = (angle + math.pi) % (2 * math.pi)
+    return math.pi if turned == 0.0 else turned - math.pi
+
+
+@inline
+def _eighth(angle: float) -> tuple[float, int]:
+    """The angle less a whole number of right angles, in [-pi/4, pi/4], and that number modulo 4."""
+    if abs(angle) > _MOST_TURNS:
+        angle %= 2 * math.pi
+    if not abs(angle) <= _MOST_TURNS:
+        return math.nan, 0
+    turns = math.floor(angle * (2 / math.pi) + 0.5)
+    rest = ((angle - turns * _PI_2_HIGH) - turns * _PI_2_MIDDLE) - turns * _PI_2_LOW
+    return rest, int(turns) & 3
+
+
+@inline
+def _sin_series(x: float) -> float:
+    s = x * x
+    t = 1 / 6227020800 - s * (1 / 1307674368000 - s * (1 / 355687428096000))
+    t = 1 / 120 - s * (1 / 5040 - s * (1 / 362880 - s * (1 / 39916800 - s * t)))
+    return x - x * s * (1 / 6 - s * t)
+
+
+@inline
+def _cos_series(x: float) -> float:
+    s = x * x
+    t = 1 / 479001600 - s * (1 / 87178291200 - s * (1 / 20922789888000 - s * (1 / 6402373705728000)))
+    t = 1 / 24 - s * (1 / 720 - s * (1 / 40320 - s * (1 / 3628800 - s * t)))
+    half = s / 2
+    one = 1.0 - half
+    return one + (((1.0 - one) - half) + s * s * t)
+
+
+@inline
+def sin(angle: float) -> float:
+    """Sine."""
+    rest, quarter = _eighth(angle)
+    sine, cosine = _sin_series(rest), _cos_series(rest)
+    value = cosine if quarter & 1 else sine
+    return -value if quarter & 2 else value
+
+
+@inline
+def cos(angle: float) -> float:
+    """Cosine."""
+    rest, quarter = _eighth(angle)
+    sine, cosine = _sin_series(rest), _cos_series(rest)
+    value = sine if quarter & 1 else cosine
+    return -value if (quarter + 1) & 2 else value
+
+
+@inline
+def tan(angle: float) -> float:
+    """Tangent."""
+    return sin(angle) / cos(angle)
+
+
+@inline
+def _atan_series(x: float) -> float:
+    """Arc tangent for 0 <= x <= tan(pi/8), by half the angle and the series of that."""
+    half = x / (1.0 + math.sqrt(1.0 + x * x))
+    s = half * half
+    t = 1 / 17 - s * (1 / 19 - s * (1 / 21 - s * (1 / 23 - s * (1 / 25))))
+    t = 1 / 9 - s * (1 / 11 - s * (1 / 13 - s * (1 / 15 - s * t)))
+    t = 1 / 3 - s * (1 / 5 - s * (1 / 7 - s * t))
+    return 2.0 * (half - half * s * t)
+
+
+@inline
+def atan2(y: float, x: float) -> float:
+    """The angle of the point (x, y), in [-pi, pi]."""
+    wide, high = abs(x), abs(y)
+    large, small = max(wide, high), min(wide, high)
+    if math.isnan(x) or math.isnan(y):
+        return math.nan
+    if large == 0.0 or (math.isinf(large) and not math.isinf(small)):
+        angle = 0.0
+    elif math.isinf(small):
+        angle = math.pi / 4
+    elif small > (math.sqrt(2.0) - 1.0) * large:
+        angle = math.pi / 4 - _atan_series((large - small) / (large + small))
+    else:
+        angle = _atan_series(small / large)
+    if high > wide:
+        angle = math.pi / 2 - angle
+    if math.copysign(1.0, x) < 0.0:
+        angle = math.pi - angle
+    return math.copysign(angle, y)
+
+
+@inline
+def asin(x: float) -> float:
+    """Arc sine; NaN outside of [-1, 1]."""
+    return atan2(x, math.sqrt((1.0 - x) * (1.0 + x)))
+
+
+@inline
+def sinc(x: float) -> float:
+    """sin(x)/x; by its series where the quotient loses accuracy."""
+    if abs(x) < 1e-3:
+        square = x * x
+        return 1.0 - square / 6.0 * (1.0 - square / 20.0)
+    return sin(x) / x
+
+
+@inline
+def dsinc(x: float) -> float:
+    """Derivative of sin(x)/x; by its series where the difference cancels."""
+    if abs(x) < 1e-2:
+        square = x * x
+        return -x / 3.0 * (1.0 - square / 10.0 * (1.0 - square / 28.0))
+    return (cos(x) - sin(x) / x) / x
