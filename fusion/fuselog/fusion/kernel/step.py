@@ -1,8 +1,8 @@
 """The filter: one sample applied to one state. Compiled together with the model that takes the place of ``blank``.
 
-predict -> innovate -> weigh -> gate -> gain -> correct, over flat rows. Covariance is always Joseph's form, for any
-gain: P = (I - G H) P (I - G H)' + G R G' (Bezmen 2019 holds eq. 26 only for the optimal gain). Whatever moves P
-leaves it exactly symmetric.
+predict -> innovate -> weigh -> gate -> gain -> correct, over flat rows. Covariance is Joseph's form, for any gain:
+P = (I - G H) P (I - G H)' + G R G' (Bezmen 2019 holds eq. 26 only for the optimal gain). Whatever moves P leaves it
+exactly symmetric.
 """
 
 import math
@@ -22,13 +22,16 @@ PACKED = N * (N + 1) // 2
 MOST = 9  # numbers that one sample measures at most
 HP = 2 * LD * LD  # places in Work.rows, after the two products of ``predict``
 G = HP + MOST * LD
-JOSEPH = G + MOST * LD
+WHITE = G + MOST * LD
+JOSEPH = WHITE + MOST * LD
 SCRATCH = JOSEPH + MOST * LD
 
 # literals that kernels compare with: Decision, Role and Gain by number
 FUSED, GATED, BAD_COVARIANCE, UNINITIALISED = 0, 1, 8, 9
 DRIVES_NEXT, DRIVES_PREVIOUS = 1, 2
-ABSORB, STATE = 1, 2
+OPTIMAL, ABSORB, STATE = 0, 1, 2
+
+MODEST = 1e5  # S over R up to which the short form of the covariance loses no more than five digits of sixteen
 
 
 @inline
@@ -336,29 +339,58 @@ def later_weight(tables: Tables, history: History, k: int, state: int) -> float:
 
 @inline
 def solve(work: Work, m: int) -> None:
-    """G' = S^-1 H P by the factor L of S (Bezmen 2019, eq. 27)."""
+    """G' = S^-1 H P by the factor L of S (Bezmen 2019, eq. 27), over L^-1 H P."""
     w, L = work.rows, work.L
     for a in range(m):
-        row_copy(w, G + a * LD, w, HP + a * LD, LD)
-        row_take(w, G + a * LD, w, G, L, a * m, 1, a, LD)
-        row_scale(w, G + a * LD, w, G + a * LD, L[a * m + a], LD)
+        row_copy(w, WHITE + a * LD, w, HP + a * LD, LD)
+        row_take(w, WHITE + a * LD, w, WHITE, L, a * m, 1, a, LD)
+        row_scale(w, WHITE + a * LD, w, WHITE + a * LD, L[a * m + a], LD)
     for a in range(m - 1, -1, -1):
+        row_copy(w, G + a * LD, w, WHITE + a * LD, LD)
         row_take(w, G + a * LD, w, G + (a + 1) * LD, L, (a + 1) * m + a, m, m - 1 - a, LD)
         row_scale(w, G + a * LD, w, G + a * LD, L[a * m + a], LD)
 
 
 @inline
 def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
-    """x = x + G nu and Joseph's P, in two passes: T = ((I - G H) P)', P = T' - (T' H' - G R) G'."""
-    s, w, b, M = history.state, work.rows, k * ROW, tables.M
-    rows, P = tables.rows[sensor], b + COVARIANCE
-    if tables.scaled:
-        project(work, s, P, m)
+    """x = x + G nu, and the covariance that belongs to this gain."""
+    s, w, b = history.state, work.rows, k * ROW
+    P = b + COVARIANCE
     for a in range(m):
         row_add(s, b, w, G + a * LD, work.nu[a], LD)
     for i in range(N):
         if ANGLES[i]:
             s[b + i] = wrap(s[b + i])
+    if tables.gain[sensor] == OPTIMAL and modest(tables, history, work, k, sensor, m):
+        take_outer(s, P, w, WHITE, w, WHITE, m, N, LD, True)
+    else:
+        joseph(tables, history, work, k, sensor, m)
+    mirror(s, P, LD)
+
+
+@inline
+def modest(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
+    """Whether P - (L^-1 H P)' (L^-1 H P), which Joseph's form is for the optimal gain, is as exact as the long form.
+
+    It shrinks P in no direction by more than the sum of S/R where R is diagonal, and loses as many digits.
+    """
+    M, rows = tables.M, tables.rows[sensor]
+    good = True
+    for a in range(m):
+        R = k * M * M + work.active[a] * rows
+        good &= work.S[a * m + a] <= MODEST * history.R[R + work.active[a]]
+        for c in range(m):
+            good &= a == c or history.R[R + work.active[c]] == 0.0
+    return good
+
+
+@inline
+def joseph(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
+    """Joseph's P, in two passes that end above the diagonal: T = ((I - G H) P)', P = T' - (T' H' - G R) G'."""
+    s, w, M = history.state, work.rows, tables.M
+    rows, P = tables.rows[sensor], k * ROW + COVARIANCE
+    if tables.scaled:
+        project(work, s, P, m)
     take_outer(s, P, w, HP, w, G, m, N, LD, False)
     for a in range(m):
         to = JOSEPH + a * LD
@@ -370,4 +402,3 @@ def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
             if R != 0.0:
                 row_add(w, to, w, G + c * LD, -R, LD)
     take_outer(s, P, w, G, w, JOSEPH, m, N, LD, True)
-    mirror(s, P, LD)

@@ -94,7 +94,7 @@ class Samples(NamedTuple):
 class Work(NamedTuple):
     """Scratch of one step; holds nothing between steps."""
 
-    rows: Floats  # two products of N rows, then MOST rows each of H P, G', W'
+    rows: Floats  # two products of N rows, then MOST rows each of H P, G', L^-1 H P and Joseph's T' H'
     S: Floats  # (M, M)
     L: Floats  # (M, M)
     y: Floats  # (M,)
