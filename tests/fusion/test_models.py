@@ -2,14 +2,12 @@
 
 import math
 
-import mpmath
 import numpy as np
 import pytest
 from tests.fusion.reference import MOTIONS, central_differences, complex_step, measure, observe
 from tests.fusion.setups import CONFIGURATIONS, MEASURED, MODELS, Sample, events_of, place_of, put, setup, truth
 
 from fuselog.fusion import Decision, Engine
-from fuselog.fusion.kernel.scalars import dsinc, sinc, wrap
 from fuselog.fusion.rotations import quaternions_from_rpy
 
 SECOND = 1_000_000_000
@@ -173,26 +171,6 @@ def test_measured_quantities_and_their_jacobians(model: str) -> None:
             dx = H.T @ np.linalg.solve(S, nu)
             difference = [math.remainder(d, 2 * math.pi) for d in track.x[0] - x - dx]
             assert np.abs(difference).max() < 1e-12
-
-
-def test_sinc_and_its_derivative_to_the_last_bits() -> None:
-    places = np.concatenate([np.geomspace(1e-300, 20, 400), [0.0, 1e-3, 0.0009999, 1e-2, 0.0099999]])
-    with mpmath.workdps(60):
-        for x in [*places, *-places]:
-            exact = mpmath.sin(x) / x if x else mpmath.mpf(1)
-            slope = (mpmath.cos(x) - exact) / x if x else mpmath.mpf(0)
-            assert abs(sinc(x) - exact) <= 3e-16
-            assert abs(dsinc(x) - slope) <= 5e-13 * abs(slope) + 1e-16
-
-
-def test_wrap_keeps_the_angle_and_the_half_open_interval() -> None:
-    for angle in [*np.linspace(-40, 40, 2001), math.pi, -math.pi, 3 * math.pi, -3 * math.pi, 1e5]:
-        turned = wrap(angle)
-        assert -math.pi < turned <= math.pi
-        assert math.remainder(turned - angle, 2 * math.pi) == pytest.approx(0, abs=1e-10)
-    assert wrap(math.pi) == math.pi
-    assert wrap(-math.pi) == math.pi
-    assert wrap(0.0) == 0.0
 
 
 def test_a_pose_is_the_same_as_quaternion_and_as_matrix() -> None:

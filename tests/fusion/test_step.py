@@ -218,3 +218,21 @@ def assert_all_symmetric(engine: Engine) -> None:
     rows = history.state.reshape(-1, kernel.ROW)[head : tail + 1]
     P = rows[:, kernel.COVARIANCE : kernel.COVARIANCE + kernel.LD**2].reshape(-1, kernel.LD, kernel.LD)
     assert np.array_equal(P, P.transpose(0, 2, 1))
+
+
+@pytest.mark.parametrize("prior_sd", [1e2, 1e5, 1e8])
+@pytest.mark.parametrize("sensor", ["lidar", "speed"])
+def test_a_measurement_far_better_than_the_prior(prior_sd: float, sensor: str) -> None:
+    """Variances shrink to those of the measurement, by the short and by the long form of the covariance."""
+    noise, start = 1e-4, dict.fromkeys(("x", "y", "vx", "vy"), prior_sd)
+    plan = setup("constant_velocity", initial={"state": dict.fromkeys(start, 0.0), "sd": start})
+    engine = Engine(plan)
+    track = engine.advance(events_of(plan, [Sample(10**9, sensor, [1.0 + 1e-6 * k, 2.0], noise**2) for k in range(50)]))
+    assert (track.decision == Decision.FUSED).all()
+    measured = [plan.states.index(name) for name in MEASURED["constant_velocity"][sensor]]
+    for row in range(len(track)):
+        P = track.covariance(row)
+        variances = 1 / ((row + 1) / noise**2 + 1 / prior_sd**2)
+        assert np.diag(P)[measured] == pytest.approx([variances] * 2, rel=1e-4)
+        assert np.array_equal(P, P.T)
+        assert np.linalg.eigvalsh(P / np.sqrt(np.outer(np.diag(P), np.diag(P)))).min() > 0

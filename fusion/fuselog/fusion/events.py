@@ -43,7 +43,9 @@ class Events(NamedTuple):
 
     def take(self, index: NDArray[np.int64] | slice) -> "Events":
         """These samples, in this order."""
-        return Events._make(column[index] for column in self)
+        if isinstance(index, slice):
+            return Events._make(column[index] for column in self)
+        return Events._make(column.take(index, axis=0) for column in self)
 
 
 def blank_events(n: int, rows: int) -> Events:
@@ -58,3 +60,15 @@ def join(parts: Sequence[Events]) -> Events:
     if len(parts) == 1:
         return parts[0]
     return Events._make(np.concatenate(columns) for columns in zip(*parts, strict=True))
+
+
+def take_joined(before: Events, after: Events, index: NDArray[np.int64]) -> Events:
+    """``join([before, after]).take(index)`` in one copy; quick where few are from ``before``."""
+    if after.size == 0:
+        return before.take(index)
+    late = np.maximum(index - before.size, 0)
+    early = np.flatnonzero(index < before.size)
+    taken = after.take(late)
+    for column, source in zip(taken, before, strict=True):
+        column[early] = source[index[early]]
+    return taken

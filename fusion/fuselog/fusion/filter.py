@@ -5,8 +5,8 @@ from typing import Literal
 import numpy as np
 
 from fuselog.fusion.engine import Engine, Estimate
-from fuselog.fusion.events import Decision, Events, blank_events
-from fuselog.fusion.intake import ClockGuard, Intake, StampOrder
+from fuselog.fusion.events import blank_events
+from fuselog.fusion.intake import ClockGuard, Intake, StampOrder, Taken
 from fuselog.fusion.ledger import Ledger, make_ledger
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.track import Track
@@ -31,11 +31,19 @@ class Filter:
 
     def feed(self, messages: Messages) -> Track:
         """Take a batch; returns the rows that it settled."""
+        return self.apply(self.prepare(messages))
+
+    def prepare(self, messages: Messages) -> Taken:
+        """The first half of ``feed``: decode, bind and order. Touches nothing that ``apply`` touches."""
         events, levers = self.intake.take(messages)
         self._clock.mark(events)
-        for rank, lever in levers.items():
+        return Taken(events if self._order is None else self._order.push(events), levers)
+
+    def apply(self, taken: Taken) -> Track:
+        """The second half of ``feed``: move the estimate, in the order in which batches were prepared."""
+        for rank, lever in taken.levers.items():
             self._engine.place(rank, lever)
-        return self._engine.advance(events if self._order is None else self._order.push(events))
+        return self._engine.advance(taken.events)
 
     def finish(self) -> Track:
         """The rows of what was still held back for its order."""
@@ -54,6 +62,3 @@ class Filter:
         if self._order is not None:
             waiting += np.bincount(self._order.pending.sensor, minlength=len(waiting))
         return make_ledger(self.plan, self.intake.received, waiting, self._engine.counts)
-
-
-__all__ = ["Decision", "Events", "Filter", "Order"]

@@ -95,17 +95,18 @@ class Outputs:
 
     def _due(self, track: Track) -> tuple[Track, NDArray[np.int64]]:
         """The estimates to publish, and the row of the track at which each is published."""
-        moved = np.isin(track.decision, (Decision.FUSED, Decision.GATED)) & (track.t_ns != NEVER)
+        moved = (track.decision <= Decision.GATED) & (track.t_ns != NEVER)
         rows = np.flatnonzero(moved & np.isfinite(track.x).all(axis=1))
         rate = self._plan.config.output.rate
         if rate is None or len(rows) == 0:
             return track if len(rows) == len(track) else track.take(rows), rows
-        before = [] if self._waiting is None else [self._waiting]
-        moves = join_tracks([*before, track.take(rows)])
-        period = moves.t_ns // max(1, round(1e9 / rate))
-        ends = np.flatnonzero(period[1:] != period[:-1])
-        self._waiting = moves.take(slice(len(moves) - 1, None))
-        return moves.take(ends), rows[ends + 1 - len(before)]
+        waiting = [] if self._waiting is None else [self._waiting]
+        moments = np.concatenate([*(each.t_ns for each in waiting), track.t_ns[rows]])
+        period = moments // max(1, round(1e9 / rate))
+        ends = np.flatnonzero(period[1:] != period[:-1]) - len(waiting)  # -1 is the one that waits
+        due = track.take(rows[ends[ends >= 0]])
+        self._waiting = track.take(rows[-1:])
+        return join_tracks([*waiting, due]) if len(ends) > len(due) else due, rows[ends + 1]
 
 
 _LAST_STAMP = (1 << 31) * 1_000_000_000 - 1  # the last one that builtin_interfaces/Time can hold

@@ -11,7 +11,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from fuselog.fusion import Filter, Order, Outputs, Plan, Stream, Track, join_tracks, load_plan
+from fuselog.fusion.intake import Taken
 from fuselog.fusion.report import estimate_json, ledger_json
+from fuselog.replay.ahead import ahead
 from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log, open_log
 from fuselog.replay.loss import Loss
@@ -19,6 +21,7 @@ from fuselog.replay.tracks import TrackWriter, is_output
 from fuselog.schemas import Messages
 
 _UNDER_WAY = 3  # batches of tracks that may wait to be written
+_AHEAD = 2  # batches that may be prepared before the filter takes them
 _BATCH = 4096  # messages fed at a time: what they become stays in the processor's cache
 
 Advance = Callable[[float, float], None]
@@ -66,11 +69,20 @@ def reprocess(log: Log | str | Path, config: Plan | str | Path, *, order: Order 
 
 
 def run(log: Log, filter: Filter) -> Iterator[tuple[int, Track]]:
-    """Feed a log to a filter, a chunk at a time; yields (messages fed, rows), the held rows at the end."""
-    for messages in log.batches(open_inputs(log, filter)):
-        for first in range(0, len(messages), _BATCH):
-            batch = messages.take(slice(first, first + _BATCH))
-            yield len(batch), filter.feed(batch)
+    """Feed a log to a filter, a chunk at a time; yields (messages fed, rows), the held rows at the end.
+
+    Reading and preparing go on in a thread, ahead of the estimate.
+    """
+    inputs = open_inputs(log, filter)
+
+    def prepared() -> Iterator[tuple[int, Taken]]:
+        for messages in log.batches(inputs):
+            for first in range(0, len(messages), _BATCH):
+                batch = messages.take(slice(first, first + _BATCH))
+                yield len(batch), filter.prepare(batch)
+
+    for fed, taken in ahead(prepared(), _AHEAD):
+        yield fed, filter.apply(taken)
     yield 0, filter.finish()
 
 

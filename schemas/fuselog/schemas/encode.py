@@ -96,8 +96,11 @@ def _holds(dtype: "np.dtype[np.generic]", values: NDArray[np.number]) -> bool:
     """Whether an integer type holds all values exactly; floats and bools take anything."""
     if dtype.kind in "fb":
         return True
+    if values.size == 0:
+        return True
     limits = np.iinfo(dtype.str)
-    return bool(np.all((values >= limits.min) & (values < limits.max + 1) & (np.rint(values) == values)))
+    inside = limits.min <= values.min() and values.max() < limits.max + 1
+    return bool(inside and (values.dtype.kind in "iu" or np.array_equal(np.rint(values), values)))
 
 
 def _gaps(taken: list[tuple[int, int]], size: int) -> list[tuple[int, int]]:

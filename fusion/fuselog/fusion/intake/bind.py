@@ -41,7 +41,8 @@ class Recipe(NamedTuple):
     slot: Ints  # (parts,) where its quantities begin
     size: Ints  # (parts,) how many quantities
     covariance: Ints  # (slots, slots) column of each entry
-    pick: Ints  # (m,) slot of each fused number
+    pick: Any  # (m,) slot of each fused number
+    entry: Ints  # (entries, 2) the places (i, j <= i) of R that can differ from 0
     extra: Ints  # (SAMPLE_WIDTH,) columns of what comes with a sample
     status: Ints  # columns of which each must not be negative
     variance: Floats  # (m,) that takes the place of the message's; NaN to keep it
@@ -60,7 +61,7 @@ class Binder:
     needs_datum: bool
 
     def bind(self, values: Floats, events: Events, rows: Ints, mount: Mount, datum: Floats) -> None:
-        """Fill z and R of these rows of the events, whose stamps and faults are set; the others' stay untouched.
+        """Fill z and R of these blank rows of the events, whose stamps and faults are set; the others' stay untouched.
 
         A row that cannot be used gets its fault.
         """
@@ -90,13 +91,16 @@ def make_binder(sensor: SensorPlan, parts: Sequence[Part]) -> Binder:
             fields.append(f"{settings.beacon or 'beacon_position'}.{axis}")
     status = [part.status for part in parts if part.status is not None]
     fields += status
+    pick = [names.index(name) for name in sensor.names]
+    entry = [(i, j) for i, a in enumerate(pick) for j, b in enumerate(pick[: i + 1]) if i == j or covariance[a, b] >= 0]
     recipe = Recipe(
         shape=np.array([part.shape for part in parts], np.int64),
         column=np.array(columns, np.int64),
         slot=np.array(slots, np.int64),
         size=np.array([len(part.names) for part in parts], np.int64),
         covariance=covariance,
-        pick=np.array([names.index(name) for name in sensor.names], np.int64),
+        pick=np.array(pick, np.int64),
+        entry=np.array(entry, np.int64),
         extra=np.array(extra, np.int64),
         status=np.arange(len(fields) - len(status), len(fields)),
         variance=np.array([settings.noise.get(name, math.nan) ** 2 for name in sensor.names]),
@@ -160,20 +164,21 @@ def bind_rows(
             turn(recipe, C, half, matrix)
         for i in range(m):
             z[row, i] = full[recipe.pick[i]] * recipe.scale[i] + recipe.offset[i]
-            for j in range(i + 1):
-                a, b = recipe.pick[i], recipe.pick[j]
-                if turned:
-                    entry = 0.5 * (C[a, b] + C[b, a])
-                else:
-                    entry = 0.5 * (stated(recipe, values[n], a, b) + stated(recipe, values[n], b, a))
-                R[row, i * m + j] = R[row, j * m + i] = noise(recipe, i, j, entry)
+        for place in range(len(recipe.entry)):
+            i, j = recipe.entry[place, 0], recipe.entry[place, 1]
+            a, b = recipe.pick[i], recipe.pick[j]
+            if turned:
+                entry = 0.5 * (C[a, b] + C[b, a])
+            else:
+                entry = 0.5 * (stated(recipe, values[n], a, b) + stated(recipe, values[n], b, a))
+            R[row, i * m + j] = R[row, j * m + i] = noise(recipe, i, j, entry)
         for i in range(SAMPLE_WIDTH):
             if recipe.extra[i] >= 0:
                 z[row, M + i] = values[n, recipe.extra[i]]
         for column in recipe.status:
             if not values[n, column] >= 0.0:
                 z[row, 0] = math.nan
-        fault[row] = judge(t_ns[row], z[row], R[row], m, L)
+        fault[row] = judge(recipe, t_ns[row], z[row], R[row], L)
 
 
 @inline
@@ -257,14 +262,20 @@ def noise(recipe: Recipe, i: int, j: int, entry: float) -> float:
 
 
 @inline
-def judge(t: int, z: Row, R: Row, m: int, L: Row) -> int:
+def judge(recipe: Recipe, t: int, z: Row, R: Row, L: Row) -> int:
     """Whether a sample can be used: a stamp after 1970, finite numbers, a positive definite covariance."""
     if t <= 0:
         return CLOCK
     for i in range(len(z)):
         if not math.isfinite(z[i]):
             return NAN
-    return GOOD if positive_definite(R, L, m) else COVARIANCE
+    m, coupled, positive = len(recipe.pick), False, True
+    for i in range(m):
+        positive &= 0.0 < R[i * m + i] < math.inf
+    for place in range(len(recipe.entry)):
+        i, j = recipe.entry[place, 0], recipe.entry[place, 1]
+        coupled |= i != j and R[i * m + j] != 0.0
+    return GOOD if positive and (not coupled or positive_definite(R, L, m)) else COVARIANCE
 
 
 @inline

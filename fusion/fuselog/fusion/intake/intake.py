@@ -1,6 +1,6 @@
 """Raw messages in, events out: every sensor decoded and bound, in the order of arrival."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -134,7 +134,7 @@ class Intake:
 
     def _between_transforms(self, messages: Messages) -> Iterator[Ints]:
         """The messages cut into runs, so that static transforms change at the start of a run only."""
-        told = np.flatnonzero(np.isin(messages.stream, list(self._tf_streams)))
+        told = np.flatnonzero(_carries(messages.stream, self._tf_streams))
         for first, last in zip([0, *told], [*told, len(messages)], strict=True):
             if first in told:
                 at = np.array([first])
@@ -157,7 +157,7 @@ class Intake:
 
     def _ready(self, feed: _Feed, messages: Messages, index: Ints) -> list[tuple[Messages, Ints, Ints]]:
         """What a sensor can give now: messages, which of them, and their places in the order of arrival."""
-        mine = index[np.isin(messages.stream[index], list(feed.taps))]
+        mine = index[_carries(messages.stream[index], feed.taps)]
         if feed.mount is None:
             feed.held += [own_messages(messages, mine)] if len(mine) else []
             return []
@@ -207,7 +207,7 @@ class Intake:
         """Find the mount of a sensor that waits for it, as soon as its frame and the transforms are known."""
         frame, base = feed.sensor.settings.frame, self._plan.config.output.child
         source = feed.held[0] if feed.held else messages
-        mine = np.arange(1) if feed.held else index[np.isin(messages.stream[index], list(feed.taps))][:1]
+        mine = np.arange(1) if feed.held else index[_carries(messages.stream[index], feed.taps)][:1]
         if frame is None and len(mine):
             frame = _frame(feed.taps[int(source.stream[mine[0]])].stream, source, mine)
         feed.mount = None if frame is None else self._transforms.find(base, frame)
@@ -228,6 +228,14 @@ class Intake:
             if len(good) and index[good[0]] < first:
                 first = int(index[good[0]])
                 self._datum = fixes.values[good[0], :3].copy()
+
+
+def _carries(stream: NDArray[np.int32], numbers: Iterable[int]) -> NDArray[np.bool_]:
+    """Which messages come from one of these few streams."""
+    found = np.zeros(len(stream), bool)
+    for number in numbers:
+        found |= stream == number
+    return found
 
 
 def _configured_datum(plan: Plan) -> Floats:

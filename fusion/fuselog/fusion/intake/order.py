@@ -1,8 +1,9 @@
 """Arrival order to stamp order: hold events until nothing inside the lag window can still come before them."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fuselog.fusion.events import Decision, Events, blank_events, join
+from fuselog.fusion.events import Decision, Events, blank_events, take_joined
 from fuselog.fusion.kernel.tables import NEVER
 
 
@@ -35,18 +36,18 @@ class StampOrder:
         fault = np.where(late, np.uint8(Decision.LATE), events.fault)
         place = np.where(usable & ~late, events.t_ns, newest[:-1])
         self._newest = newest[-1]
-        self._held = join([self._held, events._replace(fault=fault)])
-        self._place = np.append(self._place, place)
-        return self._release(self._place < oldest[-1])
+        place = np.append(self._place, place)
+        return self._release(events._replace(fault=fault), place, place < oldest[-1])
 
     def finish(self) -> Events:
         """What is left, in the total order."""
-        return self._release(np.ones(len(self._place), bool))
+        return self._release(self._held.take(slice(0, 0)), self._place, np.ones(len(self._place), bool))
 
-    def _release(self, ready: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Events:
-        index = np.flatnonzero(ready)
-        order = np.lexsort((self._held.seq[index], self._held.sensor[index], self._place[index]))
-        released = self._held.take(index[order])
-        rest = np.flatnonzero(~ready)
-        self._held, self._place = self._held.take(rest), self._place[rest]
+    def _release(self, fresh: Events, place: NDArray[np.int64], ready: NDArray[np.bool_]) -> Events:
+        """Give what is ready, of what was held and what is fresh, and hold the rest."""
+        sensor, seq = np.append(self._held.sensor, fresh.sensor), np.append(self._held.seq, fresh.seq)
+        index, rest = np.flatnonzero(ready), np.flatnonzero(~ready)
+        order = np.lexsort((seq[index], sensor[index], place[index]))
+        released = take_joined(self._held, fresh, index[order])
+        self._held, self._place = take_joined(self._held, fresh, rest), place[rest]
         return released

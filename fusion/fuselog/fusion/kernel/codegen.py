@@ -90,7 +90,7 @@ def _predict(model: Model) -> list[str]:
 
 
 def _process_noise(model: Model, after: sp.Matrix) -> dict[tuple[int, int], Expr]:
-    """Non-zero entries of Q on and above the diagonal: the model's own, and B diag(u) B'/dt of the inputs' noise densities."""
+    """Non-zero entries of Q on and above the diagonal: the model's own, and B diag(u) B'/dt of the inputs' noise."""
     index = {name: i for i, name in enumerate(model.names)}
     Q = sp.zeros(len(index))
     for (row, column), entry in model.covariance.items():
@@ -106,7 +106,9 @@ def _process_noise(model: Model, after: sp.Matrix) -> dict[tuple[int, int], Expr
     return {(i, j): Q[i, j] for i in range(Q.rows) for j in range(i, Q.cols) if Q[i, j] != 0}
 
 
-def _product(out: str, to: str, source: str, at: str, off: Iterable[tuple[int, int]], n: int, *, upper: bool) -> list[str]:
+def _product(
+    out: str, to: str, source: str, at: str, off: Iterable[tuple[int, int]], n: int, *, upper: bool
+) -> list[str]:
     """Lines for out = F source, row by row; of a symmetric product only from the block of the diagonal on."""
     off, lines, width = set(off), [], -(-n // LANES) * LANES
     for i in range(n):

@@ -120,7 +120,12 @@ def _row_sum(typing, to, at, source, starts, factors, width):  # noqa: ARG001  n
         return context.get_dummy_value()
 
     signature = types.void(
-        to, types.intp, source, types.UniTuple(types.intp, len(starts)), types.UniTuple(types.float64, len(factors)), width
+        to,
+        types.intp,
+        source,
+        types.UniTuple(types.intp, len(starts)),
+        types.UniTuple(types.float64, len(factors)),
+        width,
     )
     return (signature, emit) if _fixed(width) else None
 
@@ -150,7 +155,7 @@ def _row_take(typing, to, at, source, start, factors, first, stride, count, widt
 
 
 def _take_outer(typing, to, at, left, a, right, b, count, height, width, upper):  # noqa: ARG001  numba reads this signature
-    """Row i < height of the matrix at ``at`` -= sum over c < count of left[a + c width + i] * row c from ``b`` of right.
+    """Row i < height of the matrix ``to`` -= sum over c < count of left[a + c width + i] * row c from ``b`` of right.
 
     ``upper``: only from the block of the diagonal on; what is left of it keeps what it had.
     """
