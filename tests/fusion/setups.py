@@ -14,6 +14,7 @@ from tests.fusion.reference import MOTIONS, Motion, Place
 
 from fuselog.fusion import Engine, Events, Plan, compile_plan, parse_config
 from fuselog.fusion.kernel.cache import kernel_module
+from fuselog.fusion.kernel.rotations import quaternions_from_rpy
 from fuselog.fusion.kernel.tables import SAMPLE_WIDTH
 
 LEVER, STATION = (0.4, -0.3, 0.2), (-60.0, 45.0, 3.0)
@@ -182,7 +183,10 @@ def put(engine: Engine, x: NDArray, P: NDArray, *, t_ns: int) -> None:
     tail, N, LD = int(snapshot.history.cursor[1]), kernel.N, kernel.LD
     row = snapshot.history.state[tail * kernel.ROW : (tail + 1) * kernel.ROW]
     row[:N] = x
-    row[LD : LD + LD * LD].reshape(LD, LD)[:N, :N] = P
+    if kernel.ROTATION >= 0:
+        rpy = np.asarray(x)[kernel.ROTATION : kernel.ROTATION + 3]
+        row[N : N + 4] = quaternions_from_rpy(rpy[np.newaxis])[0]
+    row[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N] = P
     row[kernel.KNOWN : kernel.KNOWN + N] = 1.0
     snapshot.history.t[tail] = t_ns
     snapshot.history.cursor[2] = t_ns

@@ -9,6 +9,7 @@ from tests.logs import imu, odometry, position
 
 from fuselog.fusion import Config, compile_plan, load_config, parse_config
 from fuselog.fusion.intake import Intake
+from fuselog.fusion.kernel.cache import MODEL_NAMES
 from fuselog.schemas import ConfigError
 
 GOOD = """\
@@ -89,7 +90,7 @@ def test_no_such_model() -> None:
     assert problems(GOOD.replace("unicycle", "unicicle")) == [
         "2:9: model.name: there is no model 'unicicle' (did you mean unicycle?)"
     ]
-    known = "constant_velocity, unicycle, differential_drive, omni3d"
+    known = ", ".join(MODEL_NAMES)
     assert problems(GOOD.replace("unicycle", "zeppelin")) == [
         f"2:9: model.name: there is no model 'zeppelin' (known: {known})"
     ]
@@ -120,7 +121,10 @@ def test_what_is_no_configuration_has_one_place(text: str, expected: str) -> Non
         ("mount: {xyz: [1, 2]}", "7:13: sensors.wheel.mount.xyz.2: is required"),
         ("mount: {rpi: [0, 0, 0]}", "7:13: sensors.wheel.mount.rpi: unknown key (did you mean rpy?)"),
         ("topics: /a", "7:5: sensors.wheel.topics: unknown key (did you mean topic?)"),
-        ("kind: lidar", "7:5: sensors.wheel.kind: input should be 'state', 'polar', 'beacon_range' or 'input'"),
+        (
+            "kind: lidar",
+            "7:5: sensors.wheel.kind: input should be 'state', 'polar', 'beacon_range', 'magnetometer' or 'input'",
+        ),
         ("fields: 3", "7:5: sensors.wheel.fields: input should be a valid dictionary, got 3"),
     ],
 )

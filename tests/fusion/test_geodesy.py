@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from fuselog.fusion.geodesy import enu_from_geodetic
 from fuselog.fusion.intake.mounts import Mount, StaticTransforms
-from fuselog.fusion.rotations import (
+from fuselog.fusion.kernel.rotations import (
     matrix_from_quaternion,
     quaternion_product,
     quaternions_from_rpy,

@@ -8,7 +8,7 @@ from tests.fusion.reference import MOTIONS, central_differences, complex_step, m
 from tests.fusion.setups import CONFIGURATIONS, MEASURED, MODELS, Sample, events_of, place_of, put, setup, truth
 
 from fuselog.fusion import Decision, Engine
-from fuselog.fusion.rotations import quaternions_from_rpy
+from fuselog.fusion.kernel.rotations import quaternions_from_rpy
 
 SECOND = 1_000_000_000
 DIRECT = {"omni3d": "pose", "constant_velocity": "speed"}

@@ -4,13 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fuselog.fusion import Filter, Plan, load_plan
 from fuselog.replay import open_log, reprocess_to
 from fuselog.replay.evaluate import Evaluation, evaluate
 from fuselog.replay.reprocess import Summary, run
 from fuselog.replay.results import read_results
-from fuselog.replay.truth import read_truth
+from fuselog.replay.truth import only_where, read_truth
 
 ROOT = Path(__file__).parents[2]
 LOGS = ROOT.parent / "shared" / "data" / "logs"
@@ -72,6 +73,34 @@ def test_a_husky_ends_where_robot_localization_puts_it(tmp_path):
     assert np.linalg.norm(np.array(summary.final["position"]) - (-40.0454, -76.9988, -2.6974)) <= 1.05
     assert summary.ledger["imu"]["fused"] == 11865
     assert summary.ledger["wheels"]["fused"] == 3952
+
+
+@pytest.mark.parametrize(("name", "bound"), [("broad_02_slow_rotation_B", 2.0), ("broad_32_attached_magnet_1cm", 12.0)])
+def test_attitude(tmp_path, name, bound):
+    """Total attitude error (deg) against motion capture, while the sensor moves."""
+    results = read_results(fuse(name, tmp_path)[1])
+    with open_log(LOGS / f"{name}.mcap") as log:
+        found = evaluate(results, only_where(read_truth(log, "/ground_truth"), log, "/ground_truth/moving"))
+    assert found.attitude_rmse_deg is not None
+    assert found.attitude_rmse_deg <= bound
+
+
+def test_a_quadrotor_flies_where_its_autopilot_puts_it(tmp_path):
+    """Against PX4's own estimate (north-east-down, forward-right-down), from 12 s on."""
+    name = "px4_ecl_iris_gps"
+    results = read_results(fuse(name, tmp_path)[1])
+    paths = [*(f"pose.pose.position.{axis}" for axis in "xyz"), *(f"pose.pose.orientation.{axis}" for axis in "xyzw")]
+    with open_log(LOGS / f"{name}.mcap") as log:
+        reference = log.read("/reference/ecl_ekf", paths)
+    late = reference.t_ns - reference.t_ns[0] > 12_000_000_000
+    row = np.searchsorted(results.t_ns, reference.t_ns[late]).clip(max=len(results.t_ns) - 1)
+    there = results.x[row]
+    apart = there[:, [1, 0]] - reference.values[late, :2]
+    assert np.sqrt(np.mean(np.sum(apart**2, axis=1))) <= 0.3
+    ned_from_enu = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    mine = ned_from_enu * Rotation.from_euler("ZYX", there[:, [5, 4, 3]]) * Rotation.from_euler("x", np.pi)
+    turn = Rotation.from_quat(reference.values[late, 3:]).inv() * mine
+    assert np.degrees(np.sqrt(np.mean(turn.magnitude() ** 2))) <= 2.0
 
 
 def end(plan: Plan, name: str, order) -> tuple[bytes, bytes, int | None]:

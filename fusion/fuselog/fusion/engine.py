@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision, Events
 from fuselog.fusion.kernel.cache import kernel_module
+from fuselog.fusion.kernel.rotations import quaternions_from_rpy
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Work
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.track import Track
@@ -123,6 +124,10 @@ def _history(kernel: ModuleType, plan: Plan) -> History:
     history = _empty_history(kernel, plan.tables.M, len(plan.sensors), _FIRST_CAPACITY)
     N, LD = kernel.N, kernel.LD
     history.state[:N] = plan.x
+    if kernel.ROTATION >= 0:
+        rpy = plan.x[kernel.ROTATION : kernel.ROTATION + 3]
+        history.state[N : N + 4] = quaternions_from_rpy(rpy[np.newaxis])[0]
+    history.state[kernel.INPUT : kernel.INPUT + kernel.U] = list(plan.card.rest.values())
     history.state[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N] = plan.P
     history.state[kernel.KNOWN : kernel.KNOWN + N] = plan.known
     history.cursor[:] = 0, 0, NEVER

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision
+from fuselog.fusion.kernel.rotations import quaternions_from_rpy
 from fuselog.fusion.kernel.tables import NEVER
 from fuselog.fusion.plan import Plan
-from fuselog.fusion.rotations import quaternions_from_rpy
 from fuselog.fusion.track import Track, join_tracks
 from fuselog.schemas import CdrEncoder, Messages, definition
 

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.geodesy import enu_from_geodetic
+from fuselog.fusion.kernel.rotations import rpy_from_quaternions
 from fuselog.fusion.plan.readings import PARTS, Part, Shape
-from fuselog.fusion.rotations import rpy_from_quaternions
 from fuselog.replay.log import Log
 from fuselog.schemas import LogError
 

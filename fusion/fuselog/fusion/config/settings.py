@@ -33,8 +33,9 @@ class Settings(BaseModel):
 class ModelSettings(Settings):
     """Which motion model, and its process noise as spectral densities (unit² / s), independent of the rate."""
 
-    name: str = Field(description="constant_velocity, unicycle, differential_drive or omni3d")
+    name: str = Field(description="constant_velocity, unicycle, differential_drive, omni3d, attitude or ins3d")
     process_noise: dict[str, NotNegative] = Field(default_factory=dict)
+    parameters: dict[str, Finite] = Field(default_factory=dict, description="constants of the model, by name")
 
 
 class InitialSettings(Settings):
@@ -85,7 +86,7 @@ class SensorSettings(Settings):
 
     topic: str = Field(min_length=1)
     type: str | None = Field(None, description="message type; by default as the log or the publisher says")
-    kind: Literal["state", "polar", "beacon_range", "input"] = "state"
+    kind: Literal["state", "polar", "beacon_range", "magnetometer", "input"] = "state"
     fuse: list[str] = Field(default_factory=list, description="names of states, or of what the kind measures")
     fields: dict[str, str] = Field(default_factory=dict, description="name: path in the message, for other types")
     value: str | None = Field(None, description="beacon_range: path of the range")
@@ -107,6 +108,7 @@ class SensorSettings(Settings):
     frame: str | None = Field(None, description="from_tf: the sensor's frame; by default as the message says")
     hold: Literal["next", "previous"] = Field("next", description="input: holds after its stamp, or up to it")
     remove_gravity: bool = Field(True, description="accelerations are specific force, as an IMU gives")
+    declination: Finite = Field(0.0, description="magnetometer: of magnetic from true north, rad, positive to the east")
     station: Vector = Field((0.0, 0.0, 0.0), description="polar: where the station is, m, world")
     datum: Literal["first_fix"] | Vector = Field(
         "first_fix", description="NavSatFix: latitude, longitude (deg), altitude (m) of the origin"

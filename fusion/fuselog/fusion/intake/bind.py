@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from fuselog.fusion.events import Decision, Events
 from fuselog.fusion.geodesy import enu
 from fuselog.fusion.intake.mounts import Mount
+from fuselog.fusion.kernel.rotations import Quaternion, quaternion_product, rpy_from_quaternion
 from fuselog.fusion.kernel.tables import SAMPLE_WIDTH, Role
 from fuselog.fusion.plan import SensorPlan
-from fuselog.fusion.plan.readings import Part, Shape
-from fuselog.fusion.rotations import Quaternion, quaternion_product, rpy_from_quaternion
+from fuselog.fusion.plan.readings import BEACON, FIELD, Part, Shape
 from fuselog.schemas.compiled import inline, kernel
 
 Floats = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Recipe(NamedTuple):
     covariance: Ints  # (slots, slots) column of each entry
     pick: Any  # (m,) slot of each fused number
     entry: Ints  # (entries, 2) the places (i, j <= i) of R that can differ from 0
-    extra: Ints  # (SAMPLE_WIDTH,) columns of what comes with a sample
+    extra: Ints  # (SAMPLE_WIDTH,) slots of what comes with a sample
     status: Ints  # columns of which each must not be negative
     variance: Floats  # (m,) that takes the place of the message's; NaN to keep it
     floor: Floats  # (m,) least variance
@@ -84,11 +84,12 @@ def make_binder(sensor: SensorPlan, parts: Sequence[Part]) -> Binder:
         for other, to in zip(parts, slots, strict=True):
             _place_covariance(covariance, fields, (part, at), (other, to))
     settings = sensor.settings
-    extra = [-1] * SAMPLE_WIDTH
-    if settings.kind == "beacon_range":
-        for axis in "xyz":
-            extra["xyz".index(axis)] = len(fields)
-            fields.append(f"{settings.beacon or 'beacon_position'}.{axis}")
+    with_sample = {"beacon_range": BEACON, "magnetometer": FIELD}.get(settings.kind, ())
+    extra = [names.index(name) for name in with_sample] or [-1] * SAMPLE_WIDTH
+    scale = np.array([settings.scale.get(name, 1.0) for name in sensor.names])
+    offset = np.array([settings.offset.get(name, 0.0) for name in sensor.names])
+    if settings.kind == "magnetometer":  # the field comes with the sample; its azimuth, from east, is what is known
+        scale, offset = np.zeros(1), np.array([math.pi / 2 - settings.declination])
     status = [part.status for part in parts if part.status is not None]
     fields += status
     pick = [names.index(name) for name in sensor.names]
@@ -105,8 +106,8 @@ def make_binder(sensor: SensorPlan, parts: Sequence[Part]) -> Binder:
         status=np.arange(len(fields) - len(status), len(fields)),
         variance=np.array([settings.noise.get(name, math.nan) ** 2 for name in sensor.names]),
         floor=np.array([settings.noise_floor.get(name, 0.0) ** 2 for name in sensor.names]),
-        scale=np.array([settings.scale.get(name, 1.0) for name in sensor.names]),
-        offset=np.array([settings.offset.get(name, 0.0) for name in sensor.names]),
+        scale=scale,
+        offset=offset,
         inflate=settings.noise_scale**2,
     )
     return Binder(tuple(fields), recipe, any(part.shape == Shape.GEODETIC for part in parts))
@@ -174,7 +175,7 @@ def bind_rows(
             R[row, i * m + j] = R[row, j * m + i] = noise(recipe, i, j, entry)
         for i in range(SAMPLE_WIDTH):
             if recipe.extra[i] >= 0:
-                z[row, M + i] = values[n, recipe.extra[i]]
+                z[row, M + i] = full[recipe.extra[i]]
         for column in recipe.status:
             if not values[n, column] >= 0.0:
                 z[row, 0] = math.nan

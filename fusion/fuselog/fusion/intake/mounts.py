@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.config import SensorSettings
 from fuselog.fusion.intake.stream import Stream
-from fuselog.fusion.rotations import matrix_from_quaternion, quaternions_from_rpy
+from fuselog.fusion.kernel.rotations import matrix_from_quaternion, quaternions_from_rpy
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]

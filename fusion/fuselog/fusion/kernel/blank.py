@@ -12,17 +12,23 @@ from fuselog.fusion.kernel.tables import Floats, Ints
 
 N = 1  # states
 LD = 4  # numbers from one row of P to the next
+X = 4  # numbers of x as it is kept: the states, and behind them the quaternion of a rotation
 U = 0  # inputs
 WIDTH = 1  # most states that one measured number depends on
 ANGLES = np.array([0], np.uint8)  # which states are angles
+ROTATION = -1  # where roll, pitch, yaw stand when they are kept as a quaternion
 
 
 def predict(s: Floats, a: int, b: int, dt: float, q: Floats, w: Floats) -> None:
     """State row b from row a after dt: x = f(x, u, dt), P = F P F' + Q. w is scratch of 2 N LD numbers."""
 
 
+def inject(s: Floats, a: int, w: Floats, d: int) -> None:
+    """Correct the x of state row a by the N numbers w[d:]."""
+
+
 def observe(
-    row: int, s: Floats, a: int, par: Floats, p: int, z: Floats, za: int, hv: Floats, hi: Ints, k: int
+    row: int, s: Floats, a: int, par: Floats, p: int, z: Floats, za: int, q: Floats, hv: Floats, hi: Ints, k: int
 ) -> tuple[float, int]:
     """Quantity number ``row`` at the state s[a:]: returns h and how many derivatives it left in hv, hi."""
     return 0.0, 0

@@ -17,7 +17,7 @@ from typing import Any
 from fuselog.schemas.errors import FuselogError
 
 _HERE = Path(__file__).parent
-MODEL_NAMES = ("constant_velocity", "unicycle", "differential_drive", "omni3d")
+MODEL_NAMES = ("constant_velocity", "unicycle", "differential_drive", "omni3d", "attitude", "ins3d")
 _COMPILED = ("step.py", "advance.py")  # the text that is compiled together with a generated model
 _SOURCES = (_HERE, _HERE.parent / "models")  # what a kernel is made of
 _OWN_IMPORTS = ("from fuselog.fusion.kernel.blank import", "from fuselog.fusion.kernel.step import")
@@ -29,7 +29,21 @@ from math import sqrt
 import numpy as np
 
 from fuselog.fusion.kernel.rows import mirror, row_sum, transpose
-from fuselog.fusion.kernel.scalars import asin, atan2, cos, dsinc, sin, sinc, tan, wrap
+from fuselog.fusion.kernel.scalars import (
+    asin,
+    atan2,
+    cos,
+    dsinc,
+    root_cos,
+    root_gap,
+    root_sinc,
+    root_versine,
+    sin,
+    sinc,
+    tan,
+    wrap,
+)
+from fuselog.fusion.kernel.rotations import settle_rotation, show_rotation, turn_rotation
 from fuselog.schemas.compiled import inline
 
 '''
@@ -43,8 +57,11 @@ class ModelCard:
     states: dict[str, str]  # name: unit
     inputs: dict[str, str]  # name: unit
     noise: dict[str, float]  # density: default
+    rest: dict[str, float]  # input: its value for a body that does not move
+    parameters: dict[str, float]  # name: default
     quantities: list[str]  # what sensors may measure besides states
     has_pose: bool
+    rotates: bool  # whether roll, pitch, yaw are one rotation, with the covariance of a small turn about body axes
 
 
 def cache_folder() -> Path:
@@ -68,8 +85,11 @@ def model_card(name: str) -> ModelCard:
         states=dict(model.states),
         inputs=dict(model.inputs),
         noise=dict(model.noise),
+        rest={name: model.rest.get(name, 0.0) for name in model.inputs},
+        parameters=dict(model.parameters),
         quantities=list(quantities(model.body)),
         has_pose=planar_pose,
+        rotates=model.rotation is not None,
     )
     _store(path, json.dumps(asdict(card)))
     return card

@@ -10,11 +10,23 @@ subexpressions shared and zeros left out.
 # pyright: reportUnknownLambdaType=false, reportConstantRedefinition=false, reportReturnType=false
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
 
-from fuselog.fusion.models.model import DT, Expr, Model, symbol
+from fuselog.fusion.models.model import (
+    DT,
+    QUATERNION,
+    ROTATION,
+    Expr,
+    Model,
+    root_cos,
+    root_gap,
+    root_sinc,
+    root_versine,
+    symbol,
+)
 from fuselog.fusion.models.quantities import SAMPLE, SENSOR
 
 LANES = 4  # rows of P are padded to a multiple of this many numbers
@@ -27,7 +39,7 @@ class _Printer(PythonCodePrinter):
         arguments = ", ".join(self._print(argument) for argument in expr.args)
         return f"{type(expr).__name__.lower()}({arguments})"
 
-    _print_sinc = _print_dsinc = _print_sin = _print_cos = _print_tan = _print_atan2 = _print_Function
+    _print_sinc = _print_dsinc = _print_sin = _print_cos = _print_tan = _print_asin = _print_atan2 = _print_Function
 
     def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:  # noqa: N802, ARG002  SymPy's protocol
         base, exponent = expr.as_base_exp()
@@ -40,40 +52,119 @@ class _Printer(PythonCodePrinter):
 
 
 def generate(model: Model, measured: Mapping[str, Expr]) -> str:
-    """The text of constants, ``predict`` and ``observe`` for a model and the quantities that its sensors measure."""
-    n = len(model.states)
+    """The text of constants, ``predict``, ``inject`` and ``observe`` for a model and what its sensors measure."""
+    n, stored = len(model.states), len(_stored(model))
     width = max([1, *(len(_dependence(model, expression)) for expression in measured.values())])
     head = [
         f"N = {n}  # {' '.join(model.names)}",
-        f"LD = {-(-n // LANES) * LANES}  # numbers from one row of P to the next",
+        f"LD = {_padded(n)}  # numbers from one row of P to the next",
+        f"X = {_padded(stored)}  # numbers of x as it is kept",
         f"U = {len(model.inputs)}  # {' '.join(model.inputs) or 'no inputs'}",
         f"WIDTH = {width}  # most states that one measured number depends on",
         f"ANGLES = np.array({[int(a) for a in model.angles]}, np.uint8)",
+        f"ROTATION = {model.names.index(ROTATION[0]) if model.rotation else -1}  # where roll, pitch, yaw stand",
     ]
-    return "\n".join([*head, "", "", *_predict(model), "", "", *_observe(model, measured), ""])
+    parts = [_predict(model), _inject(model), _observe(model, measured)]
+    return "\n".join([*head, *(line for part in parts for line in ("", "", *part)), ""])
+
+
+def _padded(n: int) -> int:
+    return -(-n // LANES) * LANES
+
+
+def _stored(model: Model) -> list[sp.Symbol]:
+    """The symbols of the numbers of x as it is kept: the states, and the quaternion behind them."""
+    return [*(symbol(name) for name in model.names), *(QUATERNION if model.rotation else ())]
+
+
+def _plain(model: Model) -> list[str]:
+    """The states that are what they are: all but those of the rotation."""
+    return [name for name in model.names if model.rotation is None or name not in ROTATION]
+
+
+def _product_of(p: Sequence[Expr], q: Sequence[Expr]) -> list[Expr]:
+    """The quaternion p q, both x y z w."""
+    return [
+        p[3] * q[0] + p[0] * q[3] + p[1] * q[2] - p[2] * q[1],
+        p[3] * q[1] - p[0] * q[2] + p[1] * q[3] + p[2] * q[0],
+        p[3] * q[2] + p[0] * q[1] - p[1] * q[0] + p[2] * q[3],
+        p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2],
+    ]
+
+
+def _slopes(model: Model, expression: Expr) -> dict[str, Expr]:
+    """The derivative with respect to each state; to the states of the rotation, by a small turn d: q Exp(d)."""
+    found = {name: sp.diff(expression, symbol(name)) for name in _plain(model)}
+    for axis, name in enumerate(ROTATION if model.rotation else ()):
+        turn = [sp.Rational(1, 2) if i == axis else sp.Integer(0) for i in range(3)]
+        change = _product_of(QUATERNION, [*turn, sp.Integer(0)])
+        found[name] = sum((sp.diff(expression, q) * d for q, d in zip(QUATERNION, change, strict=True)), sp.Integer(0))
+    return {name: found[name] for name in model.names if found[name] != 0}
 
 
 def _dependence(model: Model, expression: Expr) -> list[int]:
-    return [i for i, name in enumerate(model.names) if symbol(name) in expression.free_symbols]
+    slopes = _slopes(model, expression)
+    return [i for i, name in enumerate(model.names) if name in slopes]
+
+
+def _cross(v: Sequence[Expr]) -> sp.Matrix:
+    """The matrix (3, 3) of the cross product with v from the left."""
+    return sp.Matrix([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """A transition in parts: what x becomes as it is kept, its derivatives, and those with respect to the inputs."""
+
+    moved: dict[str, Expr]  # by state, or name of the quaternion's number
+    slopes: dict[tuple[str, str], Expr]  # F
+    driven: dict[tuple[str, str], Expr]  # B: by state and input
+
+
+def _motion(model: Model) -> _Motion:
+    inputs = [symbol(name) for name in model.inputs]
+    moved = {name: sp.sympify(model.transition[name]) for name in _plain(model)}
+    slopes = {(row, name): slope for row in moved for name, slope in _slopes(model, moved[row]).items()}
+    driven = {(row, str(u)): sp.diff(moved[row], u) for row in moved for u in inputs}
+    if model.rotation is not None:
+        turn = sp.Matrix(model.rotation.turn)
+        square = turn.dot(turn)
+        across = _cross(turn)
+        # Sola 2017, equations 145, 183: what a turn before becomes after, and what a change of the turn does
+        carried = sp.eye(3) - root_sinc(square) * across + root_versine(square) * across * across
+        right = sp.eye(3) - root_versine(square) * across + root_gap(square) * across * across
+        for i, row in enumerate(ROTATION):
+            by_state: dict[str, Expr] = {name: carried[i, j] for j, name in enumerate(ROTATION)}
+            for j in range(3):
+                for name, slope in _slopes(model, turn[j]).items():
+                    by_state[name] = by_state.get(name, sp.Integer(0)) + right[i, j] * slope
+            slopes |= {(row, name): slope for name, slope in by_state.items()}
+            for u in inputs:
+                driven[row, str(u)] = sum((right[i, j] * sp.diff(turn[j], u) for j in range(3)), sp.Integer(0))
+        half = [root_sinc(square / 4) * part / 2 for part in turn]
+        after = _product_of(QUATERNION, [*half, root_cos(square / 4)])
+        moved |= {str(q): part for q, part in zip(QUATERNION, after, strict=True)}
+    return _Motion(moved, slopes, driven)
 
 
 def _predict(model: Model) -> list[str]:
-    names, n = model.names, len(model.states)
-    states = [symbol(name) for name in names]
-    after = sp.Matrix([model.transition[name] for name in names])
-    F = after.jacobian(states)
-    off = [(i, j) for i in range(n) for j in range(n) if F[i, j] != (1 if i == j else 0)]
-    Q = _process_noise(model, after)
-    entries = [*after, *(F[i, j] for i, j in off), *Q.values()]
+    n, motion = len(model.states), _motion(model)
+    index = {name: i for i, name in enumerate(model.names)}
+    F = {(index[row], index[name]): slope for (row, name), slope in motion.slopes.items()}
+    off = [(i, j) for i in range(n) for j in range(n) if F.get((i, j), 0) != (1 if i == j else 0)]
+    Q = _process_noise(model, motion)
+    entries = [*motion.moved.values(), *(F.get(place, sp.Integer(0)) for place in off), *Q.values()]
     shared, results = _share(model, entries)
-    moved, jacobian, noise = results[:n], results[n : n + len(off)], results[n + len(off) :]
+    moved = dict(zip(motion.moved, results, strict=False))
+    jacobian, noise = results[len(moved) : len(moved) + len(off)], results[len(moved) + len(off) :]
     body = [
         "def predict(s, a, b, dt, q, w):",
         '    """State row b from row a after dt: x = f(x, u, dt), P = F P F\' + Q. w is scratch of 2 LD LD numbers."""',
-        *(f"    x_{name} = s[a + {i}]" for i, name in enumerate(names)),
+        *(f"    x_{name} = s[a + {i}]" for i, name in enumerate(map(str, _stored(model)))),
         *(f"    u_{name} = s[b + INPUT + {i}]" for i, name in enumerate(model.inputs)),
         *(f"    U_{name} = s[b + INPUT + U + {i}]" for i, name in enumerate(model.inputs)),
         *(f"    q_{name} = q[{i}]" for i, name in enumerate(model.noise)),
+        *(f"    p_{name} = q[{len(model.noise) + i}]" for i, name in enumerate(model.parameters)),
         *(f"    {name} = {_text(value)}" for name, value in shared),
         *(f"    F_{i}_{j} = {_text(value)}" for (i, j), value in zip(off, jacobian, strict=True)),
         *_product("w", "0", "s", "a + COVARIANCE", off, n, upper=False),
@@ -82,14 +173,29 @@ def _predict(model: Model) -> list[str]:
         *(f"    s[b + COVARIANCE + {i} * LD + {j}] += {_text(value)}" for (i, j), value in zip(Q, noise, strict=True)),
         "    mirror(s, b + COVARIANCE, LD)",
         *(
-            f"    s[b + {i}] = {'wrap(' + _text(value) + ')' if model.angles[i] else _text(value)}"
-            for i, value in enumerate(moved)
+            f"    s[b + {i}] = {'wrap(' + _text(moved[name]) + ')' if model.angles[i] else _text(moved[name])}"
+            for i, name in enumerate(model.names)
+            if name in moved
         ),
+        *(f"    s[b + N + {i}] = {_text(moved[str(q)])}" for i, q in enumerate(QUATERNION) if model.rotation),
+        *(["    show_rotation(s, b + N, b + ROTATION)"] if model.rotation else []),
     ]
     return _used(body)
 
 
-def _process_noise(model: Model, after: sp.Matrix) -> dict[tuple[int, int], Expr]:
+def _inject(model: Model) -> list[str]:
+    """x = x (+) d: added, angles wrapped, the attitude turned."""
+    lines = ["def inject(s, a, w, d):", '    """Correct the x of state row a by the N numbers w[d:]."""']
+    for i, name in enumerate(model.names):
+        if name in _plain(model):
+            moved = f"s[a + {i}] + w[d + {i}]"
+            lines.append(f"    s[a + {i}] = {f'wrap({moved})' if model.angles[i] else moved}")
+    if model.rotation is not None:
+        lines += ["    turn_rotation(s, a + N, w, d + ROTATION)", "    show_rotation(s, a + N, a + ROTATION)"]
+    return lines
+
+
+def _process_noise(model: Model, motion: _Motion) -> dict[tuple[int, int], Expr]:
     """Non-zero entries of Q on and above the diagonal: the model's own, and B diag(u) B'/dt of the inputs' noise."""
     index = {name: i for i, name in enumerate(model.names)}
     Q = sp.zeros(len(index))
@@ -99,10 +205,15 @@ def _process_noise(model: Model, after: sp.Matrix) -> dict[tuple[int, int], Expr
         if i != j:
             Q[j, i] += entry
     if model.inputs:
-        B = after.jacobian([symbol(name) for name in model.inputs])
-        root = B.applyfunc(lambda entry: sp.expand(entry / DT))
-        U = sp.diag(*(sp.Symbol(f"U_{name}", nonnegative=True) for name in model.inputs))
-        Q += (root * U * root.T) * DT
+        U = [sp.Symbol(f"U_{name}", nonnegative=True) for name in model.inputs]
+        roots = [
+            [sp.expand(motion.driven.get((name, u), sp.Integer(0)) / DT) for u in model.inputs] for name in model.names
+        ]
+        Q += sp.Matrix(
+            len(index),
+            len(index),
+            lambda i, j: sum((roots[i][k] * roots[j][k] * u for k, u in enumerate(U)), sp.Integer(0)) * DT,
+        )
     return {(i, j): Q[i, j] for i in range(Q.rows) for j in range(i, Q.cols) if Q[i, j] != 0}
 
 
@@ -110,7 +221,7 @@ def _product(
     out: str, to: str, source: str, at: str, off: Iterable[tuple[int, int]], n: int, *, upper: bool
 ) -> list[str]:
     """Lines for out = F source, row by row; of a symmetric product only from the block of the diagonal on."""
-    off, lines, width = set(off), [], -(-n // LANES) * LANES
+    off, lines, width = set(off), [], _padded(n)
     for i in range(n):
         column = i // LANES * LANES if upper else 0
         terms = {i: "1.0"} | {j: f"F_{k}_{j}" for k, j in sorted(off) if k == i}
@@ -123,32 +234,34 @@ def _product(
 
 def _observe(model: Model, measured: Mapping[str, Expr]) -> list[str]:
     lines = [
-        "def observe(row, s, a, par, p, z, za, hv, hi, k):",
+        "def observe(row, s, a, par, p, z, za, q, hv, hi, k):",
         '    """Quantity number ``row`` at the state s[a:]: returns h and how many derivatives it left in hv, hi."""',
     ]
+    index = {name: i for i, name in enumerate(model.names)}
     for number, expression in enumerate(measured.values()):
-        dependence = _dependence(model, expression)
-        derivatives = [sp.diff(expression, symbol(model.names[i])) for i in dependence]
-        shared, (value, *slopes) = _share(model, [expression, *derivatives])
-        used = {str(s) for s in expression.free_symbols}
+        slopes = _slopes(model, expression)
+        shared, (value, *rest) = _share(model, [expression, *slopes.values()])
+        used = {str(s) for part in (expression, *slopes.values()) for s in part.free_symbols}
         lines += [
             f"    if row == {number}:",
-            *(f"        x_{name} = s[a + {i}]" for i, name in enumerate(model.names) if name in used),
+            *(f"        x_{name} = s[a + {i}]" for i, name in enumerate(map(str, _stored(model))) if name in used),
             *(f"        u_{name} = s[a + INPUT + {i}]" for i, name in enumerate(model.inputs) if name in used),
+            *(f"        p_{n} = q[{len(model.noise) + i}]" for i, n in enumerate(model.parameters) if n in used),
             *(f"        {s} = par[p + {i}]" for i, s in enumerate(SENSOR) if str(s) in used),
             *(f"        {s} = z[za + {i}]" for i, s in enumerate(SAMPLE) if str(s) in used),
             *(f"        {name} = {_text(part)}" for name, part in shared),
-            *(f"        hi[k + {i}] = {column}" for i, column in enumerate(dependence)),
-            *(f"        hv[k + {i}] = {_text(slope)}" for i, slope in enumerate(slopes)),
-            f"        return {_text(value)}, {len(dependence)}",
+            *(f"        hi[k + {i}] = {index[name]}" for i, name in enumerate(slopes)),
+            *(f"        hv[k + {i}] = {_text(slope)}" for i, slope in enumerate(rest)),
+            f"        return {_text(value)}, {len(slopes)}",
         ]
     return [*lines, "    return 0.0, 0"]
 
 
 def _share(model: Model, entries: list[Expr]) -> tuple[list[tuple[sp.Symbol, Expr]], list[Expr]]:
     """Common subexpressions and what is left of the entries, in names that no state can clash with."""
-    local = {symbol(name): sp.Symbol(f"x_{name}", real=True) for name in model.names}
+    local = {one: sp.Symbol(f"x_{one}", real=True) for one in _stored(model)}
     local |= {symbol(name): sp.Symbol(f"u_{name}", real=True) for name in model.inputs}
+    local |= {symbol(name): sp.Symbol(f"p_{name}", real=True) for name in model.parameters}
     shared, rest = sp.cse([entry.xreplace(local) for entry in entries], sp.numbered_symbols("t"))
     return shared, [sp.sympify(entry) for entry in rest]
 

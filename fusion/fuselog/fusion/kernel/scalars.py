@@ -134,3 +134,32 @@ def dsinc(x: float) -> float:
         square = x * x
         return -x / 3.0 * (1.0 - square / 10.0 * (1.0 - square / 28.0))
     return (cos(x) - sin(x) / x) / x
+
+
+@inline
+def root_cos(square: float) -> float:
+    """cos(r) of the square of r."""
+    return cos(math.sqrt(square))
+
+
+@inline
+def root_sinc(square: float) -> float:
+    """sin(r)/r of the square of r."""
+    return sinc(math.sqrt(square))
+
+
+@inline
+def root_versine(square: float) -> float:
+    """(1 - cos(r))/r² of the square of r, by half the angle."""
+    half = sinc(math.sqrt(square) / 2)
+    return half * half / 2
+
+
+@inline
+def root_gap(square: float) -> float:
+    """(r - sin(r))/r³ of the square of r; by its series where the difference cancels."""
+    if square < 0.5:
+        t = 1 / 362880 - square * (1 / 39916800 - square * (1 / 6227020800 - square / 1307674368000))
+        return 1 / 6 - square * (1 / 120 - square * (1 / 5040 - square * t))
+    root = math.sqrt(square)
+    return (1.0 - sin(root) / root) / square

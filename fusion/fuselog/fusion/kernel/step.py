@@ -7,13 +7,14 @@ exactly symmetric.
 
 import math
 
-from fuselog.fusion.kernel.blank import ANGLES, LD, WIDTH, N, U, observe, predict
+from fuselog.fusion.kernel.blank import ANGLES, LD, ROTATION, WIDTH, N, U, X, inject, observe, predict
+from fuselog.fusion.kernel.rotations import settle_rotation
 from fuselog.fusion.kernel.rows import mirror, row_add, row_copy, row_scale, row_take, take_outer
-from fuselog.fusion.kernel.scalars import wrap
+from fuselog.fusion.kernel.scalars import atan2, wrap
 from fuselog.fusion.kernel.tables import NEVER, Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
 
-COVARIANCE = LD  # a row of state: x and P padded with zeros to LD, input and its noise, which states are known
+COVARIANCE = X  # a row of state: x, P with rows padded to LD, input and its noise, which states are known
 INPUT = COVARIANCE + LD * LD
 KNOWN = INPUT + 2 * U
 ROW = KNOWN + N
@@ -24,13 +25,15 @@ HP = 2 * LD * LD  # places in Work.rows, after the two products of ``predict``
 G = HP + MOST * LD
 WHITE = G + MOST * LD
 JOSEPH = WHITE + MOST * LD
-SCRATCH = JOSEPH + MOST * LD
+DELTA = JOSEPH + MOST * LD
+SCRATCH = DELTA + LD
 
 # literals that kernels compare with: Decision, Role and Gain by number
 FUSED, GATED, BAD_COVARIANCE, UNINITIALISED = 0, 1, 8, 9
 DRIVES_NEXT, DRIVES_PREVIOUS = 1, 2
 OPTIMAL, ABSORB, STATE = 0, 1, 2
 
+LEVEL_SD = 0.05  # rad, of roll and pitch that a single specific force gave
 MODEST = 1e5  # S over R up to which the short form of the covariance loses no more than five digits of sixteen
 
 
@@ -46,6 +49,7 @@ def step(tables: Tables, history: History, work: Work, k: int) -> None:
         history.S[k * M + i] = math.nan
         history.absorbed[k * M + i] = math.nan
     carry(tables, history, work, k, role)
+    level(tables, history, k, sensor)
     if role in (DRIVES_NEXT, DRIVES_PREVIOUS):
         take_input(history, k, M)
         history.decision[k] = FUSED
@@ -63,8 +67,9 @@ def carry(tables: Tables, history: History, work: Work, k: int, role: int) -> No
         take_input(history, k, tables.M)
     before = history.t[k - 1]
     if before == NEVER or before == history.t[k]:
-        for i in range(LD + 1):
-            row_copy(s, b + i * LD, s, a + i * LD, LD)
+        row_copy(s, b, s, a, X)
+        for i in range(LD):
+            row_copy(s, b + COVARIANCE + i * LD, s, a + COVARIANCE + i * LD, LD)
     else:
         predict(s, a, b, (history.t[k] - before) * 1e-9, tables.q, work.rows)
 
@@ -76,6 +81,31 @@ def take_input(history: History, k: int, M: int) -> None:
     for i in range(U):
         history.state[b + i] = history.z[k * (M + 3) + i]
         history.state[b + U + i] = history.R[k * M * M + i * U + i]
+
+
+@inline
+def level(tables: Tables, history: History, k: int, sensor: int) -> None:
+    """Let roll and pitch, while nobody knows them, be such that the specific force of the sample points up."""
+    s, b, at = history.state, k * ROW, tables.level[sensor]
+    if ROTATION < 0 or at < 0 or s[b + KNOWN + ROTATION] + s[b + KNOWN + ROTATION + 1] == 2.0:
+        return
+    f = k * (tables.M + 3) + at
+    fx, fy, fz = history.z[f], history.z[f + 1], history.z[f + 2]
+    s[b + ROTATION] = atan2(fy, fz)
+    s[b + ROTATION + 1] = atan2(-fx, math.sqrt(fy * fy + fz * fz))
+    settle_rotation(s, b + N, b + ROTATION)
+    for i in range(2):
+        s[b + KNOWN + ROTATION + i] = 1.0
+        give_variance(s, b + COVARIANCE, ROTATION + i, LEVEL_SD**2)
+
+
+@inline
+def give_variance(s: Floats, P: int, state: int, variance: float) -> None:
+    """The state's variance, and no covariance with others."""
+    for j in range(N):
+        s[P + state * LD + j] = 0.0
+        s[P + j * LD + state] = 0.0
+    s[P + state * LD + state] = variance
 
 
 @inline
@@ -120,6 +150,7 @@ def measure(tables: Tables, history: History, work: Work, k: int, sensor: int, i
             sensor * 7,
             history.z,
             sample,
+            tables.q,
             work.hv,
             work.hi,
             at * WIDTH,
@@ -151,6 +182,7 @@ def ready(tables: Tables, history: History, work: Work, k: int, sensor: int) -> 
         for j in range(work.hn[0]):
             state = work.hi[j]
             gives = state == tables.seed[sensor * tables.M + i] or measures(tables, sensor, state)
+            gives |= tables.level[sensor] >= 0 and 0 <= ROTATION <= state < ROTATION + 3
             if history.state[known + state] == 0.0 and not gives:
                 return False
     return True
@@ -183,12 +215,11 @@ def seed(tables: Tables, history: History, work: Work, k: int, sensor: int) -> i
                 continue
             value = s[b + state] + history.z[k * (M + 3) + i] - measure(tables, history, work, k, sensor, i, M)
             s[b + state] = wrap(value) if ANGLES[state] else value
-            for j in range(N):
-                s[P + state * LD + j] = 0.0
-                s[P + j * LD + state] = 0.0
-            s[P + state * LD + state] = history.R[k * M * M + i * rows + i]
+            give_variance(s, P, state, history.R[k * M * M + i * rows + i])
             s[b + KNOWN + state] = 1.0
             work.hn[i] = 1  # used up
+            if 0 <= ROTATION <= state < ROTATION + 3:
+                settle_rotation(s, b + N, b + ROTATION)
     for i in range(rows):
         if work.hn[i] == 0:
             work.active[m] = i
@@ -353,14 +384,13 @@ def solve(work: Work, m: int) -> None:
 
 @inline
 def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
-    """x = x + G nu, and the covariance that belongs to this gain."""
+    """x = x (+) G nu, and the covariance that belongs to this gain."""
     s, w, b = history.state, work.rows, k * ROW
     P = b + COVARIANCE
-    for a in range(m):
-        row_add(s, b, w, G + a * LD, work.nu[a], LD)
-    for i in range(N):
-        if ANGLES[i]:
-            s[b + i] = wrap(s[b + i])
+    row_scale(w, DELTA, w, G, work.nu[0], LD)
+    for a in range(1, m):
+        row_add(w, DELTA, w, G + a * LD, work.nu[a], LD)
+    inject(s, b, w, DELTA)
     if tables.gain[sensor] == OPTIMAL and modest(tables, history, work, k, sensor, m):
         take_outer(s, P, w, WHITE, w, WHITE, m, N, LD, True)
     else:

@@ -43,6 +43,7 @@ class Tables(NamedTuple):
     rows: Ints  # (S,) numbers that a sample measures
     what: Ints  # (S, M) a state's index, or -1 - q for generated quantity q
     seed: Ints  # (S, M) the state that this number gives at once while that state is unknown, or -1
+    level: Ints  # (S,) where the specific force begins among the numbers, for roll and pitch to begin with; or -1
     angle: Bytes  # (S, M) whether the number is an angle
     threshold: Floats  # (S, M) gate: most that the NIS of 1 to M numbers may be; inf for no gate
     sensor: Floats  # (S, 7) lever arm x y z (m, body), gravity (m/s²), station x y z (m, world)
@@ -52,7 +53,7 @@ class Tables(NamedTuple):
     cycles: int  # whether samples of the same stamp share their weights (``Gain.STATE``)
     scaled: int  # whether the fixed gain is formed with ``scales`` in place of P
     scales: Floats  # (N,) standard deviations
-    q: Floats  # (K,) process noise densities
+    q: Floats  # (K,) process noise densities, then the model's parameters
     window_ns: int  # how late a sample may be
 
 
@@ -94,7 +95,7 @@ class Samples(NamedTuple):
 class Work(NamedTuple):
     """Scratch of one step; holds nothing between steps."""
 
-    rows: Floats  # two products of N rows, then MOST rows each of H P, G', L^-1 H P and Joseph's T' H'
+    rows: Floats  # two products of N rows, then MOST rows each of H P, G', L^-1 H P and Joseph's T' H', and dx
     S: Floats  # (M, M)
     L: Floats  # (M, M)
     y: Floats  # (M,)

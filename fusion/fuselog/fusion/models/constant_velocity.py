@@ -22,7 +22,7 @@ def constant_velocity() -> Model:
         body=Body(
             position=(x, y, zero),
             velocity=(vx, vy, zero),
-            rpy=(zero, zero, zero),
+            world_from_body=sp.eye(3),
             twist_linear=(vx, vy, zero),
             twist_angular=(zero, zero, zero),
         ),

@@ -5,7 +5,7 @@
 # pyright: reportUnknownParameterType=false, reportArgumentType=false, reportMissingTypeArgument=false
 # pyright: reportReturnType=false
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import sympy as sp
@@ -25,18 +25,49 @@ class dsinc(sp.Function):  # noqa: N801  a mathematical function keeps its name
     """d/dx sin(x)/x."""
 
 
+class root_cos(sp.Function):  # noqa: N801  a mathematical function keeps its name
+    """cos(r) of s = r²; like the three that follow smooth at 0, for turns by a vector of length r."""
+
+
+class root_sinc(sp.Function):  # noqa: N801  a mathematical function keeps its name
+    """sin(r)/r of s = r²."""
+
+
+class root_versine(sp.Function):  # noqa: N801  a mathematical function keeps its name
+    """(1 - cos(r))/r² of s = r²."""
+
+
+class root_gap(sp.Function):  # noqa: N801  a mathematical function keeps its name
+    """(r - sin(r))/r³ of s = r²."""
+
+
+QUATERNION = sp.symbols("qx qy qz qw", real=True)  # world_from_body of a model with a ``Rotation``
+ROTATION = ("roll", "pitch", "yaw")  # the states that show it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rotation:
+    """An attitude among the states, world_from_body, kept as the unit quaternion ``QUATERNION``: no singularity.
+
+    The states of ``ROTATION`` show it; their covariance is that of a small turn d (rad) about the body's axes,
+    q = q^ Exp(d) (Sola 2017, section 5.4). ``turn`` is the rotation vector (rad, body axes) by which it turns in dt.
+    """
+
+    turn: tuple[Expr, Expr, Expr]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Body:
     """Where the body is and how it moves, as expressions of the state: what derived measurements are made of.
 
-    ``position`` and ``velocity`` in the world frame (m, m/s), ``rpy`` the attitude of the body in the world (rad),
+    ``position`` and ``velocity`` in the world frame (m, m/s), ``world_from_body`` a rotation matrix (3, 3),
     ``twist_linear`` and ``twist_angular`` in the body frame (m/s, rad/s), ``acceleration`` in the body frame (m/s²).
     A planar model gives 0 for what it does not have.
     """
 
     position: tuple[Expr, Expr, Expr]
     velocity: tuple[Expr, Expr, Expr]
-    rpy: tuple[Expr, Expr, Expr]
+    world_from_body: sp.Matrix
     twist_linear: tuple[Expr, Expr, Expr]
     twist_angular: tuple[Expr, Expr, Expr]
     acceleration: tuple[Expr, Expr, Expr] | None = None
@@ -47,9 +78,11 @@ class Model:
     """A discrete motion model x(t + dt) = f(x, u, dt) + w, declared once.
 
     ``states`` and ``inputs`` map names to units; a state in ``rad`` is an angle and is wrapped to (-pi, pi].
-    ``transition`` gives f for every state. ``noise`` maps the names of the process noise densities to their default
-    values; ``covariance`` gives the entries of Q(dt), by pairs of states, in those densities and ``DT``, so that what
-    is added in one second does not depend on the rate. Input noise enters as B U B'/dt with B = df/du.
+    ``transition`` gives f for every state but those of the ``rotation``. ``noise`` maps the names of the process noise
+    densities to their default values; ``covariance`` gives the entries of Q(dt), by pairs of states, in those densities
+    and ``DT``, so that what is added in one second does not depend on the rate. Input noise enters as B U B'/dt with
+    B = df/du. ``rest`` is the input of a body that does not move, where that is not 0: it holds until the first sample.
+    ``parameters`` are constants that a configuration may set, with their defaults.
     """
 
     name: str
@@ -59,6 +92,9 @@ class Model:
     covariance: Mapping[tuple[str, str], Expr]
     body: Body
     inputs: Mapping[str, str] = field(default_factory=dict[str, str])
+    rest: Mapping[str, float] = field(default_factory=dict[str, float])
+    parameters: Mapping[str, float] = field(default_factory=dict[str, float])
+    rotation: Rotation | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -71,8 +107,20 @@ class Model:
         return tuple(unit == "rad" for unit in self.states.values())
 
 
+def rotation_matrix(quaternion: Sequence[Expr]) -> sp.Matrix:
+    """The rotation (3, 3) of a unit quaternion x y z w."""
+    x, y, z, w = quaternion
+    return sp.Matrix(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
 def symbol(name: str) -> sp.Symbol:
-    """The symbol of a state, an input or a noise density."""
+    """The symbol of a state, an input or a parameter."""
     return sp.Symbol(name, real=True)
 
 

@@ -72,7 +72,7 @@ def omni3d() -> Model:
         body=Body(
             position=(s[0], s[1], s[2]),
             velocity=(velocity[0], velocity[1], velocity[2]),
-            rpy=(s[3], s[4], s[5]),
+            world_from_body=world_from_body,
             twist_linear=(s[6], s[7], s[8]),
             twist_angular=(s[9], s[10], s[11]),
             acceleration=(s[12], s[13], s[14]),

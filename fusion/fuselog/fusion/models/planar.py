@@ -25,7 +25,7 @@ def _body(x: Expr, y: Expr, yaw: Expr, v: Expr, yaw_rate: Expr) -> Body:
     return Body(
         position=(x, y, zero),
         velocity=(v * sp.cos(yaw), v * sp.sin(yaw), zero),
-        rpy=(zero, zero, yaw),
+        world_from_body=sp.rot_ccw_axis3(yaw),
         twist_linear=(v, zero, zero),
         twist_angular=(zero, zero, yaw_rate),
     )

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 import sympy as sp
 
 from fuselog.fusion.models.model import Body, Expr
-from fuselog.fusion.models.omni3d import rotation
 
 # What the expressions may use beside the state, in the order in which kernels receive it.
 SENSOR = sp.symbols("lever_x lever_y lever_z gravity origin_x origin_y origin_z", real=True)  # fixed for a sensor
@@ -21,23 +20,28 @@ def quantities(body: Body) -> Mapping[str, Expr]:
 
     ``position_*`` is where the sensor is in the world, ``twist_*`` how the sensor's place moves (body axes),
     ``force_*`` what an accelerometer there reads (specific force, body axes), ``range bearing range_rate`` the body
-    as seen from a station at ``origin``, ``beacon_range`` the distance from the sensor to a beacon.
-    The lever arm goes from the body to the sensor, in body axes.
+    as seen from a station at ``origin``, ``beacon_range`` the distance from the sensor to a beacon, ``roll pitch yaw``
+    the attitude, ``azimuth`` the direction from east, to the left, of a horizontal vector that the sample holds in
+    body axes. The lever arm goes from the body to the sensor, in body axes.
     """
     lever, gravity, origin = sp.Matrix(SENSOR[:3]), SENSOR[3], sp.Matrix(SENSOR[4:7])
-    world_from_body = rotation(*body.rpy)
-    position = sp.Matrix(body.position) + world_from_body * lever
+    turn = body.world_from_body
+    position = sp.Matrix(body.position) + turn * lever
     rate = sp.Matrix(body.twist_angular)
     twist = sp.Matrix(body.twist_linear) + rate.cross(lever)
     found: dict[str, Expr] = {}
     found |= dict(zip(("position_x", "position_y", "position_z"), position, strict=True))
     found |= dict(zip(("twist_x", "twist_y", "twist_z"), twist, strict=True))
     if body.acceleration is not None:
-        up = world_from_body.T * sp.Matrix([0, 0, gravity])
-        force = sp.Matrix(body.acceleration) + rate.cross(rate.cross(lever)) + up
+        force = sp.Matrix(body.acceleration) + rate.cross(rate.cross(lever)) + turn.T * sp.Matrix([0, 0, gravity])
         found |= dict(zip(("force_x", "force_y", "force_z"), force, strict=True))
     found |= _polar(sp.Matrix(body.position) - origin, sp.Matrix(body.velocity))
     found["beacon_range"] = _length(position - sp.Matrix(SAMPLE))
+    found["roll"] = sp.atan2(turn[2, 1], turn[2, 2])
+    found["pitch"] = sp.atan2(-turn[2, 0], sp.sqrt(turn[2, 1] ** 2 + turn[2, 2] ** 2))
+    found["yaw"] = sp.atan2(turn[1, 0], turn[0, 0])
+    field = turn * sp.Matrix(SAMPLE)
+    found["azimuth"] = sp.atan2(field[1], field[0])
     return {name: expression for name, expression in found.items() if expression.free_symbols - {*SENSOR, *SAMPLE}}
 
 

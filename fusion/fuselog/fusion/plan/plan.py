@@ -11,12 +11,8 @@ from fuselog.fusion.config import Config, Problem, SensorSettings, Source, did_y
 from fuselog.fusion.gate import chi_square_quantile
 from fuselog.fusion.kernel.cache import MODEL_NAMES, ModelCard, model_card
 from fuselog.fusion.kernel.tables import Role, Tables
-from fuselog.fusion.plan.sensors import SensorPlan, plan_sensor
+from fuselog.fusion.plan.sensors import AT_SENSOR, FORCE, ROTATION, SensorPlan, plan_sensor
 from fuselog.fusion.plan.weights import gain_tables
-
-_AT_LEVER = {"x": "position_x", "y": "position_y", "z": "position_z"}
-_TWIST = {"vx": "twist_x", "v": "twist_x", "vy": "twist_y", "vz": "twist_z"}
-_FORCE = {"ax": "force_x", "ay": "force_y", "az": "force_z"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +65,8 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         raise source.complain(problems)
     given = np.array([state in config.initial.state for state in card.states])
     fed = {seed for sensor_rows in rows for _, seed in sensor_rows}
+    if any(_level(sensor, card) >= 0 for sensor in sensors):
+        fed |= {list(card.states).index(name) for name in ("roll", "pitch")}
     sd = np.array([config.initial.sd.get(state, 1.0) for state in card.states])
     M = max(sensor.dof for sensor in sensors)
     tables = Tables(
@@ -80,7 +78,8 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         angle=_table([sensor.angles for sensor in sensors], M, np.uint8),
         threshold=np.array([_thresholds(sensor, M) for sensor in sensors]).ravel(),
         sensor=np.array([_place(sensor, config) for sensor in sensors]).ravel(),
-        q=np.array([config.model.process_noise.get(name, default) for name, default in card.noise.items()]),
+        level=np.array([_level(sensor, card) for sensor in sensors]),
+        q=_constants(config, card),
         window_ns=round(config.lag.window * 1e9),
         **gains,
     )
@@ -100,6 +99,7 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
 def _check_names(config: Config, card: ModelCard) -> list[Problem]:
     named: list[tuple[tuple[str, ...], Mapping[str, object], Sequence[str]]] = [
         (("model", "process_noise"), config.model.process_noise, list(card.noise)),
+        (("model", "parameters"), config.model.parameters, list(card.parameters)),
         (("initial", "state"), config.initial.state, list(card.states)),
         (("initial", "sd"), config.initial.sd, list(card.states)),
         (("gain", "scales"), config.gain.scales, list(card.states)),
@@ -117,8 +117,9 @@ def _rows(sensor: SensorPlan, card: ModelCard, measured: list[str]) -> list[tupl
     states = list(card.states)
     rows: list[tuple[int, int]] = []
     for name in sensor.names if sensor.role == Role.MEASURES else ():
-        quantity = _quantity(sensor.settings, name)
-        seed = states.index(name) if sensor.settings.kind == "state" and name in states else -1
+        quantity = _quantity(sensor.settings, name, card)
+        given = {"state": name, "magnetometer": "yaw"}.get(sensor.settings.kind)
+        seed = states.index(given) if given in states else -1
         if quantity is None or quantity not in card.quantities:
             rows.append((max(seed, 0), seed))
             continue
@@ -128,17 +129,34 @@ def _rows(sensor: SensorPlan, card: ModelCard, measured: list[str]) -> list[tupl
     return rows or [(0, -1)] * sensor.dof
 
 
-def _quantity(settings: SensorSettings, name: str) -> str | None:
+def _quantity(settings: SensorSettings, name: str, card: ModelCard) -> str | None:
     """The generated quantity that a number is, or None where the number is the state itself."""
     if settings.kind == "beacon_range":
         return "beacon_range"
-    if settings.kind == "polar":
+    if settings.kind == "magnetometer":
+        return "azimuth"
+    if settings.kind == "polar" or (card.rotates and name in ROTATION):
         return name
-    if name in _FORCE and settings.remove_gravity:
-        return _FORCE[name]
-    if settings.mount == "from_tf" or any(settings.mount.xyz):
-        return _AT_LEVER.get(name) or _TWIST.get(name)
+    if name in FORCE and settings.remove_gravity:
+        return FORCE[name]
+    if settings.mount == "from_tf" or any(settings.mount.xyz) or name not in card.states:
+        return AT_SENSOR.get(name)
     return None
+
+
+def _level(sensor: SensorPlan, card: ModelCard) -> int:
+    """Where the specific force begins among the sensor's numbers that can say how roll and pitch are; or -1."""
+    if not card.rotates or not {*FORCE} <= {*sensor.names} or not sensor.settings.remove_gravity:
+        return -1
+    first = sensor.names.index("ax")
+    return first if sensor.names[first : first + 3] == tuple(FORCE) else -1
+
+
+def _constants(config: Config, card: ModelCard) -> NDArray[np.float64]:
+    """Noise densities and parameters of the model, in their order."""
+    given = {"gravity": config.gravity} | config.model.parameters
+    noise = [config.model.process_noise.get(name, default) for name, default in card.noise.items()]
+    return np.array([*noise, *(given.get(name, default) for name, default in card.parameters.items())])
 
 
 def _thresholds(sensor: SensorPlan, most: int) -> list[float]:

@@ -43,7 +43,9 @@ class Part:
 
 _XYZ, _RPY = ("x", "y", "z"), ("roll", "pitch", "yaw")
 _V, _W, _A = ("vx", "vy", "vz"), ("roll_rate", "pitch_rate", "yaw_rate"), ("ax", "ay", "az")
-ANGLES = frozenset((*_RPY, "bearing"))
+ANGLES = frozenset((*_RPY, "bearing", "heading"))
+BEACON = ("beacon_x", "beacon_y", "beacon_z")  # m, world frame
+FIELD = ("heading", "field_y", "field_z")  # a magnetic field along the body's axes; the first stands for the heading
 POLAR = ("range", "bearing", "range_rate")
 
 
@@ -83,6 +85,7 @@ PARTS: Mapping[str, tuple[Part, ...]] = MappingProxyType(
         "sensor_msgs/msg/NavSatFix": (
             Part(_XYZ, Shape.GEODETIC, _GEODETIC, Covariance("position_covariance", 3, 0), "status.status"),
         ),
+        "sensor_msgs/msg/MagneticField": (_vector(FIELD, "magnetic_field"),),
         "sensor_msgs/msg/Range": (Part(("range",), Shape.SCALAR, ("range",)),),
     }
 )
@@ -113,12 +116,15 @@ def _explicit(sensor: SensorSettings, names: tuple[str, ...]) -> list[Part]:
         fields = {name: name for name in POLAR} | fields
     if sensor.kind == "beacon_range":
         fields["range"] = sensor.value or "range"
-    listed = [name for name in names if name in fields]
+        fields |= {
+            name: f"{sensor.beacon or 'beacon_position'}.{axis}" for name, axis in zip(BEACON, "xyz", strict=True)
+        }
+    listed = [name for name in (*names, *BEACON) if name in fields]
     parts: list[Part] = []
     for row, name in enumerate(listed):
         covariance = None
         if sensor.covariance is not None:
-            covariance = Covariance(sensor.covariance, len(listed), row)
+            covariance = Covariance(sensor.covariance, len(names), row)
         elif name in sensor.variance:
             covariance = Covariance(sensor.variance[name], 0, 0)
         parts.append(Part((name,), Shape.SCALAR, (fields[name],), covariance))

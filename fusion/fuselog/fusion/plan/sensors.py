@@ -8,6 +8,14 @@ from fuselog.fusion.kernel.cache import ModelCard
 from fuselog.fusion.kernel.tables import Role
 from fuselog.fusion.plan.readings import ANGLES, POLAR
 
+# What the numbers of a sensor are at its place, by the names of generated quantities.
+FORCE = {"ax": "force_x", "ay": "force_y", "az": "force_z"}
+AT_SENSOR = {
+    **{"x": "position_x", "y": "position_y", "z": "position_z"},
+    **{"vx": "twist_x", "v": "twist_x", "vy": "twist_y", "vz": "twist_z"},
+}
+ROTATION = ("roll", "pitch", "yaw")
+
 MOST_ROWS = 9  # numbers that one sample measures at most
 
 
@@ -24,6 +32,15 @@ class SensorPlan:
     dof: int
 
 
+def _measurable(card: ModelCard) -> list[str]:
+    """The states, and what else a body with an attitude of its own can be asked for."""
+    derived = {**AT_SENSOR, **FORCE} if card.rotates else {}
+    return [
+        *card.states,
+        *(n for n, quantity in derived.items() if n not in card.states and quantity in card.quantities),
+    ]
+
+
 def plan_sensor(rank: int, name: str, settings: SensorSettings, card: ModelCard, problems: list[Problem]) -> SensorPlan:
     """Resolve what the sensor measures; what is wrong with it is added to ``problems``."""
     place = ("sensors", name)
@@ -35,9 +52,9 @@ def plan_sensor(rank: int, name: str, settings: SensorSettings, card: ModelCard,
         if settings.fuse and set(settings.fuse) != set(known):
             problems.append(Problem((*place, "fuse"), f"an input gives all of {', '.join(known)}"))
     elif settings.kind == "state":
-        known, names = list(card.states), settings.fuse
+        known, names = _measurable(card), settings.fuse
     else:
-        known = POLAR if settings.kind == "polar" else ("range",)
+        known = {"polar": POLAR, "magnetometer": ("heading",)}.get(settings.kind, ("range",))
         names = settings.fuse or list(known)
     if not names and known:
         problems.append(Problem(place, f"fuse is required: a list of {', '.join(known)}"))

@@ -1,12 +1,16 @@
 """Attitudes as quaternions (x y z w), matrices and roll pitch yaw, for kernels."""
 
+import math
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.kernel.scalars import asin, atan2, cos, sin
+from fuselog.fusion.kernel.scalars import asin, atan2, cos, root_cos, root_sinc, sin
 from fuselog.schemas.compiled import inline, kernel
 
 Floats = NDArray[np.float64]
+Row = Any  # flat memory of numbers, inside kernels
 
 
 Quaternion = tuple[float, float, float, float]  # x y z w
@@ -33,6 +37,44 @@ def rpy_from_quaternion(x: float, y: float, z: float, w: float) -> tuple[float, 
     return roll, asin(sine), yaw
 
 
+@inline
+def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """The quaternion of Rz(yaw) Ry(pitch) Rx(roll)."""
+    cr, sr = cos(roll / 2), sin(roll / 2)
+    cp, sp = cos(pitch / 2), sin(pitch / 2)
+    cy, sy = cos(yaw / 2), sin(yaw / 2)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+@inline
+def show_rotation(s: Row, q: int, rpy: int) -> None:
+    """Make the quaternion s[q:] a unit one, and put its roll, pitch, yaw at s[rpy:]."""
+    length = math.sqrt(s[q] * s[q] + s[q + 1] * s[q + 1] + s[q + 2] * s[q + 2] + s[q + 3] * s[q + 3])
+    for i in range(4):
+        s[q + i] = s[q + i] / length
+    s[rpy], s[rpy + 1], s[rpy + 2] = rpy_from_quaternion(s[q], s[q + 1], s[q + 2], s[q + 3])
+
+
+@inline
+def settle_rotation(s: Row, q: int, rpy: int) -> None:
+    """Put the quaternion of roll, pitch, yaw s[rpy:] at s[q:]."""
+    s[q], s[q + 1], s[q + 2], s[q + 3] = quaternion_from_rpy(s[rpy], s[rpy + 1], s[rpy + 2])
+
+
+@inline
+def turn_rotation(s: Row, q: int, w: Row, d: int) -> None:
+    """Turn the quaternion s[q:] by the rotation vector w[d:] (rad, body axes): q Exp(d)."""
+    square = w[d] * w[d] + w[d + 1] * w[d + 1] + w[d + 2] * w[d + 2]
+    half, cosine = root_sinc(square / 4) / 2, root_cos(square / 4)
+    turn = (half * w[d], half * w[d + 1], half * w[d + 2], cosine)
+    s[q], s[q + 1], s[q + 2], s[q + 3] = quaternion_product((s[q], s[q + 1], s[q + 2], s[q + 3]), turn)
+
+
 @kernel
 def rpy_from_quaternions(quaternions: Floats) -> Floats:
     """Roll, pitch, yaw (n, 3) in rad of quaternions (n, 4) x y z w."""
@@ -48,13 +90,7 @@ def quaternions_from_rpy(rpy: Floats) -> Floats:
     """The quaternions (n, 4) x y z w of Rz(yaw) Ry(pitch) Rx(roll), for ``rpy`` (n, 3) in rad."""
     out = np.empty((len(rpy), 4))
     for n in range(len(rpy)):
-        cr, sr = cos(rpy[n, 0] / 2), sin(rpy[n, 0] / 2)
-        cp, sp = cos(rpy[n, 1] / 2), sin(rpy[n, 1] / 2)
-        cy, sy = cos(rpy[n, 2] / 2), sin(rpy[n, 2] / 2)
-        out[n, 0] = sr * cp * cy - cr * sp * sy
-        out[n, 1] = cr * sp * cy + sr * cp * sy
-        out[n, 2] = cr * cp * sy - sr * sp * cy
-        out[n, 3] = cr * cp * cy + sr * sp * sy
+        out[n, 0], out[n, 1], out[n, 2], out[n, 3] = quaternion_from_rpy(rpy[n, 0], rpy[n, 1], rpy[n, 2])
     return out
 
 
