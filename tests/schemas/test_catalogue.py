@@ -4,7 +4,7 @@ import pytest
 
 from fuselog.schemas import SchemaError, definition, field_paths, known_definitions
 
-OURS = ("fuselog_msgs/msg/Decision", "fuselog_msgs/msg/Estimate", "fuselog_msgs/msg/Health")
+OURS = ("fuselog_msgs/msg/Decision", "fuselog_msgs/msg/Estimate", "fuselog_msgs/msg/Health", "fuselog_msgs/msg/Reading")
 
 
 @pytest.mark.parametrize("name", known_definitions())

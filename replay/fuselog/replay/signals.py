@@ -1,14 +1,17 @@
 """Simulated sensors as messages: columns of numbers with stamps in, one log in the order of arrival out."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.replay.writer import LogWriter
 from fuselog.schemas import CdrEncoder, Messages, definition
+
+_START_NS = 1_700_000_000_000_000_000  # stamps look like a clock's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,7 +24,30 @@ class Signal:
     columns: Sequence[str]
     values: NDArray[np.float64]  # (n, width)
     constants: dict[str, str | float] = field(default_factory=dict[str, str | float])
+    lengths: dict[str, int] = field(default_factory=dict[str, int])  # of sequences in the message
     latency_ns: int = 0
+
+
+def stamps(t: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
+    """Stamps (n,) in ns of times (n,) in s from the start."""
+    return _START_NS + np.rint(t * 1e9).astype(np.int64)
+
+
+def reading(
+    topic: str, t_ns: NDArray[np.int64], values: Mapping[str, NDArray[np.float64]], *, sd: Sequence[float] = ()
+) -> Signal:
+    """Named numbers (n,) as ``fuselog_msgs/msg/Reading``, ``values[0]`` the first; ``sd`` of each, if it is noisy."""
+    names: dict[str, str | float] = {f"names[{i}]": name for i, name in enumerate(values)}
+    variances: dict[str, str | float] = {f"variances[{i}]": one**2 for i, one in enumerate(sd)}
+    return Signal(
+        topic=topic,
+        schema_name="fuselog_msgs/msg/Reading",
+        t_ns=t_ns,
+        columns=["values"],
+        values=np.stack(list(values.values()), axis=1),
+        constants=names | variances,
+        lengths={"names": len(values), "values": len(values), "variances": len(sd)},
+    )
 
 
 def write_signals(path: str | PathLike[str], signals: Sequence[Signal]) -> int:
@@ -42,6 +68,7 @@ def _messages(signal: Signal, stream: int) -> Messages:
         definition(signal.schema_name),
         columns=signal.columns,
         constants=signal.constants,
+        lengths=signal.lengths,
     )
     data, size = encoder.encode(signal.t_ns, signal.values)
     n = len(signal.t_ns)

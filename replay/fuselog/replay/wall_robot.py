@@ -1,32 +1,31 @@
 """A differential-drive robot along a wall: ultrasonic sensor in front, gyro, noisy wheels (Kiselev 2020, 2.1-3.3)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fuselog.replay.signals import Signal
-
-Floats = NDArray[np.float64]
-_START_NS = 1_700_000_000_000_000_000  # stamps look like a clock's
-_MS = 1_000_000
+from fuselog.replay.scenarios.planar import MS, Floats, arc, gyro_signal, truth_signal, twist_signal
+from fuselog.replay.scenarios.scenario import LEAST_SD, LEAST_STEP, Scenario, quantity
+from fuselog.replay.signals import Signal, stamps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WallRobot:
     """Numbers of the scenario: the wall is the line y = 0, the robot drives along x. Kiselev's names in brackets."""
 
-    duration: float = 60.0  # s
-    period: float = 0.05  # s, of the wheels; the other two sensors take turns, each at half the rate
-    speed: float = 1.25  # m/s
-    boom: float = 0.5  # m, how far in front of the axle the ultrasonic sensor is (a)
-    distance: float = 1.5  # m, which the robot tries to keep from the wall
-    wander: float = 0.35  # m, by which that wish goes up and down
-    slip: float = 0.01  # m / sqrt(s), sideways random walk of the robot (xi)
-    wheel_v: float = 0.02  # (m/s) / sqrt(Hz), error of the measured speed
-    wheel_yaw_rate: float = 0.03  # (rad/s) / sqrt(Hz), error of the measured turn rate (zeta)
-    range_sd: float = 0.05  # m (eta)
-    gyro_sd: float = 0.15  # rad, of the gyro's integrated angle (theta)
+    period: float = quantity(0.05, "s", least=LEAST_STEP)  # of the wheels; the two sensors take turns at half the rate
+    speed: float = quantity(1.25, "m/s")
+    boom: float = quantity(0.5, "m")  # how far in front of the axle the ultrasonic sensor is (a)
+    distance: float = quantity(1.5, "m")  # which the robot tries to keep from the wall
+    wander: float = quantity(0.35, "m")  # by which that wish goes up and down
+    slip: float = quantity(0.01, "m/sqrt(s)", least=0)  # sideways random walk of the robot (xi)
+    wheel_v: float = quantity(0.02, "(m/s)/sqrt(Hz)", least=0)  # error of the measured speed
+    wheel_yaw_rate: float = quantity(0.03, "(rad/s)/sqrt(Hz)", least=0)  # error of the measured turn rate (zeta)
+    range_sd: float = quantity(0.05, "m", least=LEAST_SD)  # (eta)
+    gyro_sd: float = quantity(0.15, "rad", least=LEAST_SD)  # of the gyro's integrated angle (theta)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,9 +38,9 @@ class Drive:
     slip: Floats  # (n,) m, added to y at t[i + 1]
 
 
-def drive(robot: WallRobot, noise: np.random.Generator) -> Drive:
+def drive(robot: WallRobot, duration: float, noise: np.random.Generator) -> Drive:
     """The true drive: exact arcs, steered towards the wanted distance by the heading law yaw = -atan(offset / L)."""
-    n = round(robot.duration / robot.period)
+    n = round(duration / robot.period)
     t = np.arange(n + 1, dtype=np.float64) * robot.period
     wish = robot.distance + robot.wander * np.sin(2 * np.pi * t / 14) * np.cos(2 * np.pi * t / 37)
     slip = robot.slip * np.sqrt(robot.period) * noise.standard_normal(n)
@@ -54,26 +53,15 @@ def drive(robot: WallRobot, noise: np.random.Generator) -> Drive:
     return Drive(t=t, pose=pose, twist=twist, slip=slip)
 
 
-def arc(pose: Floats, twist: Floats, dt: float) -> Floats:
-    """The pose (3,) after dt at constant speed and turn rate; finite when the robot goes straight.
-
-    x' = x + v dt sinc(h) cos(yaw + h), y' = y + v dt sinc(h) sin(yaw + h), yaw' = yaw + 2 h, where h = yaw_rate dt / 2:
-    Kiselev's equation (4) without its division by the difference of the wheels.
-    """
-    half = twist[1] * dt / 2
-    chord = twist[0] * dt * np.sinc(half / np.pi)
-    return pose + np.array([chord * np.cos(pose[2] + half), chord * np.sin(pose[2] + half), 2 * half])
-
-
-def wall_signals(robot: WallRobot, noise: np.random.Generator) -> list[Signal]:
+def wall_signals(robot: WallRobot, duration: float, noise: np.random.Generator) -> list[Signal]:
     """What the robot's sensors say of a drive, and the truth.
 
     ``/wheel/twist`` the mean twist up to its stamp, ``/wall/range`` u = y + boom sin(yaw) + eta,
     ``/gyro/attitude`` beta = yaw + theta, ``/ground_truth``. Ranges arrive 80 ms after their stamps, so that younger
     samples of the others come before them.
     """
-    true = drive(robot, noise)
-    t_ns = _START_NS + np.rint(true.t * 1e9).astype(np.int64)
+    true = drive(robot, duration, noise)
+    t_ns = stamps(true.t)
     y, yaw = true.pose[:, 1], true.pose[:, 2]
     wheel_sd = np.array([robot.wheel_v, robot.wheel_yaw_rate]) / np.sqrt(robot.period)
     wheels = true.twist + wheel_sd * noise.standard_normal(true.twist.shape)
@@ -81,15 +69,7 @@ def wall_signals(robot: WallRobot, noise: np.random.Generator) -> list[Signal]:
     distance = distance + robot.range_sd * noise.standard_normal(distance.shape)
     angle = yaw[1::2] + robot.gyro_sd * noise.standard_normal(yaw[1::2].shape)
     return [
-        Signal(
-            topic="/wheel/twist",
-            schema_name="geometry_msgs/msg/TwistStamped",
-            t_ns=t_ns[1:],
-            columns=["twist.linear.x", "twist.angular.z"],
-            values=wheels,
-            constants={"header.frame_id": "base_link"},
-            latency_ns=2 * _MS,
-        ),
+        twist_signal(t_ns[1:], wheels, latency_ns=2 * MS),
         Signal(
             topic="/wall/range",
             schema_name="sensor_msgs/msg/Range",
@@ -102,38 +82,11 @@ def wall_signals(robot: WallRobot, noise: np.random.Generator) -> list[Signal]:
                 "max_range": 6.0,
                 "field_of_view": 0.3,
             },
-            latency_ns=80 * _MS,
+            latency_ns=80 * MS,
         ),
-        Signal(
-            topic="/gyro/attitude",
-            schema_name="sensor_msgs/msg/Imu",
-            t_ns=t_ns[1::2],
-            columns=["orientation.z", "orientation.w"],
-            values=_half_angle(angle),
-            constants={"header.frame_id": "base_link", **_attitude_only(robot.gyro_sd**2)},
-            latency_ns=5 * _MS,
-        ),
-        _truth(true, t_ns),
+        gyro_signal(t_ns[1::2], angle, robot.gyro_sd, latency_ns=5 * MS),
+        truth_signal(t_ns, true.pose, true.twist),
     ]
-
-
-def _truth(true: Drive, t_ns: NDArray[np.int64]) -> Signal:
-    twist = np.concatenate([true.twist[:1], true.twist])  # up to the stamp, as the wheels measure it
-    return Signal(
-        topic="/ground_truth",
-        schema_name="nav_msgs/msg/Odometry",
-        t_ns=t_ns,
-        columns=[
-            "pose.pose.position.x",
-            "pose.pose.position.y",
-            "pose.pose.orientation.z",
-            "pose.pose.orientation.w",
-            "twist.twist.linear.x",
-            "twist.twist.angular.z",
-        ],
-        values=np.concatenate([true.pose[:, :2], _half_angle(true.pose[:, 2]), twist], axis=1),
-        constants={"header.frame_id": "odom", "child_frame_id": "base_link"},
-    )
 
 
 def _steer(offset: float, yaw: float) -> float:
@@ -141,12 +94,14 @@ def _steer(offset: float, yaw: float) -> float:
     return float(np.clip(1.5 * (-np.arctan(offset / 1.2) - yaw), -0.8, 0.8))
 
 
-def _half_angle(yaw: Floats) -> Floats:
-    """z and w (n, 2) of the quaternion of a turn about z."""
-    return np.stack([np.sin(yaw / 2), np.cos(yaw / 2)], axis=1)
-
-
-def _attitude_only(variance: float) -> dict[str, str | float]:
-    """Covariances of an IMU message that holds nothing but the attitude; -1 says that a part is not there."""
-    known: dict[str, str | float] = {f"orientation_covariance[{i}]": variance for i in (0, 4, 8)}
-    return known | {"angular_velocity_covariance[0]": -1.0, "linear_acceleration_covariance[0]": -1.0}
+SCENARIOS: Mapping[str, Scenario[Any]] = MappingProxyType(
+    {
+        "wall": Scenario(
+            title="robot along a wall, ultrasonic sensor, gyro, noisy wheels: that of fuselog demo",
+            source="after Kiselev 2020, 2.1-3.3",
+            duration=60.0,
+            parameters=WallRobot(),
+            signals=wall_signals,
+        )
+    }
+)
