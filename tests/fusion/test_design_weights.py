@@ -86,7 +86,8 @@ def test_one_after_another_is_all_at_once() -> None:
     assert apply(sequential_weights(g)) == pytest.approx(5.3, rel=1e-14)
     for weights in ([0.2, 0.3, 0.5], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]):
         assert apply(sequential_weights(weights)) == pytest.approx(start + np.array(weights) @ (z - start), rel=1e-13)
-    assert sequential_weights([1e-17] + [0.1] * 10).max() == 1  # where rounding would leave nothing to divide by
+    for tiny in (1e-17, 1e-15):  # where rounding may leave nothing to divide by
+        assert 0.999 < sequential_weights([tiny] + [0.1] * 10).max() <= 1
     table = np.array([[0.2, 0.3, 0.1], [0.5, 0.0, 0.5]])
     assert sequential_weights(table)[1] == pytest.approx(sequential_weights(table[1]))
 
