@@ -178,7 +178,7 @@ def events_of(plan: Plan, samples: Iterable[Sample]) -> Events:
 
 def put(engine: Engine, x: NDArray, P: NDArray, *, t_ns: int) -> None:
     """Set the newest state of an engine that has fused something, at a time of its own."""
-    kernel = kernel_module(engine.plan.card.name, engine.plan.measured)
+    kernel = kernel_module(engine.plan.model, engine.plan.measured)
     snapshot = engine.snapshot()
     tail, N, LD = int(snapshot.history.cursor[1]), kernel.N, kernel.LD
     row = snapshot.history.state[tail * kernel.ROW : (tail + 1) * kernel.ROW]

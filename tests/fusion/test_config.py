@@ -9,7 +9,7 @@ from tests.logs import imu, odometry, position
 
 from fuselog.fusion import Config, compile_plan, load_config, parse_config
 from fuselog.fusion.intake import Intake
-from fuselog.fusion.kernel.cache import MODEL_NAMES
+from fuselog.fusion.kernel.declared import MODEL_NAMES
 from fuselog.schemas import ConfigError
 
 GOOD = """\

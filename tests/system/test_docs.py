@@ -11,7 +11,8 @@ from ruamel.yaml import YAML
 
 from fuselog.fusion import compile_plan, parse_config
 from fuselog.fusion.config import settings
-from fuselog.fusion.kernel.cache import MODEL_NAMES, model_card
+from fuselog.fusion.kernel.cache import model_card
+from fuselog.fusion.kernel.declared import MODEL_NAMES, find_model
 from fuselog.service.api import create_app
 from fuselog.service.cli import make_app
 
@@ -96,7 +97,7 @@ def test_every_key_is_listed_with_its_default(section):
 @pytest.mark.parametrize("name", MODEL_NAMES)
 def test_models_are_described_as_they_are(name):
     text = (DOCS / "models.md").read_text()
-    card = model_card(name)
+    card = model_card(find_model(name))
     row = next(line for line in text.splitlines() if line.startswith(f"| `{name}`"))
     assert re.sub(r"\([a-z]+\)", "", row.split("|")[3]).split() == list(card.states)
     assert row.split("|")[4].split() == list(card.inputs)
@@ -130,7 +131,7 @@ def test_python_runs(page, tmp_path, monkeypatch, capsys):
     if page.name == "models.md":
         from fuselog.fusion.kernel.codegen import generate
 
-        assert "N = 2  # x vx" in generate(names["rail"](), {})
+        assert "N = 3  # x y yaw" in generate(names["tricycle"](), {})
 
 
 def test_every_path_of_the_interface_is_documented():

@@ -44,7 +44,7 @@ class Engine:
     def __init__(self, plan: Plan, *, window_ns: int | None = None) -> None:
         """``window_ns`` takes the place of the plan's: 0 for events that come in their order."""
         self.plan = plan
-        self._kernel = kernel_module(plan.card.name, plan.measured)
+        self._kernel = kernel_module(plan.model, plan.measured)
         window_ns = plan.tables.window_ns if window_ns is None else window_ns
         self._tables = plan.tables._replace(sensor=plan.tables.sensor.copy(), window_ns=window_ns)
         self._work = _work(self._kernel, plan.tables.M)

@@ -33,9 +33,13 @@ class Settings(BaseModel):
 class ModelSettings(Settings):
     """Which motion model, and its process noise as spectral densities (unit² / s), independent of the rate."""
 
-    name: str = Field(description="constant_velocity, unicycle, differential_drive, omni3d, attitude or ins3d")
+    name: str = Field(description="one of fuselog's own, or my_robot.py:Tricycle, beside the configuration")
     process_noise: dict[str, NotNegative] = Field(default_factory=dict)
     parameters: dict[str, Finite] = Field(default_factory=dict, description="constants of the model, by name")
+
+
+def _named(value: Any) -> Any:
+    return {"name": value} if isinstance(value, str) else value
 
 
 class InitialSettings(Settings):
@@ -145,7 +149,7 @@ class Config(Settings):
 
     version: Literal[1] = Field(alias="fuselog")
     id: str = Field("filter", pattern=r"^[A-Za-z0-9_.-]{1,64}$")
-    model: ModelSettings
+    model: Annotated[ModelSettings, BeforeValidator(_named)]
     initial: InitialSettings = InitialSettings.model_validate({})
     gain: GainSettings = GainSettings.model_validate({})
     lag: LagSettings = LagSettings.model_validate({})

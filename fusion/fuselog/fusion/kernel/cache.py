@@ -8,16 +8,15 @@ import os
 import platform
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
+from fuselog.fusion.kernel.declared import Declared
 from fuselog.schemas.errors import FuselogError
 
 _HERE = Path(__file__).parent
-MODEL_NAMES = ("constant_velocity", "unicycle", "differential_drive", "omni3d", "attitude", "ins3d")
 _COMPILED = ("step.py", "advance.py")  # the text that is compiled together with a generated model
 _SOURCES = (_HERE, _HERE.parent / "models")  # what a kernel is made of
 _OWN_IMPORTS = ("from fuselog.fusion.kernel.blank import", "from fuselog.fusion.kernel.step import")
@@ -71,17 +70,17 @@ def cache_folder() -> Path:
     return base / "kernels"
 
 
-def model_card(name: str) -> ModelCard:
-    """The card of a model by name; derives it from the symbolic model when the cache does not have it."""
-    path = cache_folder() / _key(name) / "card.json"
+def model_card(declared: Declared) -> ModelCard:
+    """The card of a model; derives it from the symbolic model when the cache does not have it."""
+    path = cache_folder() / _key(declared) / "card.json"
     if path.is_file():
         return ModelCard(**json.loads(path.read_text()))
     from fuselog.fusion.models.quantities import quantities  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
 
-    model = _declare(name)
+    model = declared.declare()
     planar_pose = all(state in model.states for state in ("x", "y", "yaw"))
     card = ModelCard(
-        name=name,
+        name=model.name,
         states=dict(model.states),
         inputs=dict(model.inputs),
         noise=dict(model.noise),
@@ -95,17 +94,17 @@ def model_card(name: str) -> ModelCard:
     return card
 
 
-def kernel_module(name: str, measured: Sequence[str]) -> ModuleType:
+def kernel_module(declared: Declared, measured: Sequence[str]) -> ModuleType:
     """The module with ``advance`` for a model and the quantities that its sensors measure, in this order."""
-    path = cache_folder() / _key(name, *measured) / f"{name}.py"
+    path = cache_folder() / _key(declared, *measured) / f"{declared.function}.py"
     if not path.is_file():
         from fuselog.fusion.kernel.codegen import generate  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
         from fuselog.fusion.models.quantities import quantities  # noqa: PLC0415  the same
 
-        model = _declare(name)
+        model = declared.declare()
         available = quantities(model.body)
         generated = generate(model, {quantity: available[quantity] for quantity in measured})
-        _store(path, _HEAD.format(name=name) + _decorate(generated) + _filter_text())
+        _store(path, _HEAD.format(name=model.name) + _decorate(generated) + _filter_text())
     return _load(path)
 
 
@@ -121,20 +120,13 @@ def _filter_text() -> str:
     return "\n".join(line for line in lines if not line.startswith(_OWN_IMPORTS)) + "\n"
 
 
-def _key(*parts: str) -> str:
+def _key(declared: Declared, *measured: str) -> str:
     digest = hashlib.sha256()
     texts = [path.read_text() for folder in _SOURCES for path in sorted(folder.glob("*.py"))]
     versions = [importlib.metadata.version(package) for package in ("numba", "llvmlite", "numpy")]
-    for text in (*texts, *versions, platform.python_version(), *parts):
+    for text in (*texts, *versions, platform.python_version(), declared.text, declared.function, *measured):
         digest.update(text.encode() + b"\0")
-    return f"{parts[0]}-{digest.hexdigest()[:20]}"
-
-
-def _declare(name: str) -> Any:
-    from fuselog.fusion import models  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
-
-    declare: Callable[[], Any] = getattr(models, name)
-    return declare()
+    return f"{declared.function}-{digest.hexdigest()[:20]}"
 
 
 def _store(path: Path, text: str) -> None:

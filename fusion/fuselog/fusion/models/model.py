@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 
 import sympy as sp
 
+from fuselog.schemas.errors import FuselogError
+
 Expr = sp.Expr
 DT = sp.Symbol("dt", positive=True)  # s, time since the state was last known
 
@@ -90,11 +92,14 @@ class Model:
     transition: Mapping[str, Expr]
     noise: Mapping[str, float]
     covariance: Mapping[tuple[str, str], Expr]
-    body: Body
+    body: Body | None = None
     inputs: Mapping[str, str] = field(default_factory=dict[str, str])
     rest: Mapping[str, float] = field(default_factory=dict[str, float])
     parameters: Mapping[str, float] = field(default_factory=dict[str, float])
     rotation: Rotation | None = None
+
+    def __post_init__(self) -> None:
+        check_model(self)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -105,6 +110,70 @@ class Model:
     def angles(self) -> tuple[bool, ...]:
         """Which states are angles."""
         return tuple(unit == "rad" for unit in self.states.values())
+
+
+_FUNCTIONS = (sp.sin, sp.cos, sp.tan, sp.asin, sp.atan2, sinc, dsinc, root_cos, root_sinc, root_versine, root_gap)
+
+
+class NotAModelError(FuselogError):
+    """A declaration that contradicts itself, at a name in one of the model's fields."""
+
+    def __init__(self, field: str, name: str, reason: str) -> None:
+        super().__init__(f"{name}: {reason}")
+        self.field, self.name = field, name
+
+
+def check_model(model: Model) -> None:
+    """Raises ``NotAModelError``: a state without transition, an unknown symbol or function, a bad entry of Q."""
+    turned = ROTATION if model.rotation is not None else ()
+    for name in turned:
+        if name not in model.states:
+            raise NotAModelError("states", name, "a model with a rotation has the states roll, pitch and yaw")
+    for name in model.states:
+        if name not in model.transition and name not in turned:
+            raise NotAModelError("states", name, "is a state without a transition")
+    for name in model.transition:
+        if name not in model.states:
+            raise NotAModelError(
+                "transition", name, f"has a transition but is no state (states: {', '.join(model.states)})"
+            )
+    for name in model.rest:
+        if name not in model.inputs:
+            raise NotAModelError("rest", name, "has a value at rest but is no input")
+    names = {*model.states, *model.inputs, *model.parameters}
+    known = {DT, *map(symbol, names), *(QUATERNION if turned else ())}
+    for name, expression in model.transition.items():
+        _check_expression("transition", name, expression, known)
+        for state in model.states:
+            _check_derivative(name, sp.diff(sp.sympify(expression), symbol(state)))
+    densities = {*known, *map(density, model.noise)}
+    for (row, column), entry in model.covariance.items():
+        for name in (row, column):
+            if name not in model.states:
+                raise NotAModelError("covariance", name, "has process noise but is no state")
+        _check_expression("covariance", row, entry, densities)
+
+
+def _check_expression(field: str, name: str, expression: object, known: set[sp.Symbol]) -> None:
+    try:
+        parsed = sp.sympify(expression)
+    except (sp.SympifyError, TypeError) as error:
+        raise NotAModelError(field, name, f"{expression!r} is not an expression") from error
+    if not isinstance(parsed, sp.Expr):
+        raise NotAModelError(field, name, f"is a {type(parsed).__name__}, not one expression")
+    unknown = sorted(str(s) for s in parsed.free_symbols - known)
+    if unknown:
+        raise NotAModelError(field, name, f"uses {', '.join(unknown)}, which is no state, input, parameter or DT")
+    foreign = sorted({type(f).__name__ for f in parsed.atoms(sp.Function) if not isinstance(f, _FUNCTIONS)})
+    if foreign:
+        raise NotAModelError(
+            field, name, f"uses {', '.join(foreign)}; there are {', '.join(f.__name__ for f in _FUNCTIONS)}"
+        )
+
+
+def _check_derivative(name: str, derivative: Expr) -> None:
+    if derivative.has(sp.Derivative, sp.Subs):
+        raise NotAModelError("transition", name, "is not differentiable")
 
 
 def rotation_matrix(quaternion: Sequence[Expr]) -> sp.Matrix:
@@ -137,6 +206,19 @@ def density(name: str) -> sp.Symbol:
 def white_noise(*names: str) -> dict[tuple[str, str], Expr]:
     """Q entries of independent white noise on the named states: q dt on the diagonal."""
     return {(name, name): density(name) * DT for name in names}
+
+
+def white_jerk(name: str, position: str, rate: str, push: str) -> dict[tuple[str, str], Expr]:
+    """Q entries of white jerk noise of density ``name`` (m²/s⁵) on a position, its rate and acceleration (Van Loan)."""
+    q = density(name)
+    return {
+        (position, position): q * DT**5 / 20,
+        (position, rate): q * DT**4 / 8,
+        (position, push): q * DT**3 / 6,
+        (rate, rate): q * DT**3 / 3,
+        (rate, push): q * DT**2 / 2,
+        (push, push): q * DT,
+    }
 
 
 def white_acceleration(name: str, position: str, rate: str) -> dict[tuple[str, str], Expr]:

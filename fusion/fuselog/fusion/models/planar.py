@@ -56,3 +56,23 @@ def differential_drive() -> Model:
         covariance=white_noise("x", "y", "yaw"),
         body=_body(x, y, yaw, v, yaw_rate),
     )
+
+
+def wall_follower() -> Model:
+    """Distance to a wall along y = 0, and heading, driven by speed and turn rate (Kiselev 2020, equation 4, corrected).
+
+    The chord of the arc is finite when the robot goes straight. A distance sensor at a lever arm a in front of the axle
+    measures ``y`` with that mount: y + a sin(yaw), equation 6.
+    """
+    x, y, yaw, v, yaw_rate = symbols("x y yaw v yaw_rate")
+    arc = _arc(x, y, yaw, v, yaw_rate)
+    body = _body(sp.Integer(0), y, yaw, v, yaw_rate)
+    return Model(
+        name="wall_follower",
+        states={"y": "m", "yaw": "rad"},
+        inputs={"v": "m/s", "yaw_rate": "rad/s"},
+        transition={"y": arc["y"], "yaw": arc["yaw"]},
+        noise={"y": 1e-4, "yaw": 1e-6},
+        covariance=white_noise("y", "yaw"),
+        body=body,
+    )

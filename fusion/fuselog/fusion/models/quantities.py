@@ -15,8 +15,8 @@ SENSOR = sp.symbols("lever_x lever_y lever_z gravity origin_x origin_y origin_z"
 SAMPLE = sp.symbols("beacon_x beacon_y beacon_z", real=True)  # comes with each sample, m, world frame
 
 
-def quantities(body: Body) -> Mapping[str, Expr]:
-    """The measurable quantities of a body, by name.
+def quantities(body: Body | None) -> Mapping[str, Expr]:
+    """The measurable quantities of a body, by name; none where a model has no body.
 
     ``position_*`` is where the sensor is in the world, ``twist_*`` how the sensor's place moves (body axes),
     ``force_*`` what an accelerometer there reads (specific force, body axes), ``range bearing range_rate`` the body
@@ -24,6 +24,8 @@ def quantities(body: Body) -> Mapping[str, Expr]:
     the attitude, ``azimuth`` the direction from east, to the left, of a horizontal vector that the sample holds in
     body axes. The lever arm goes from the body to the sensor, in body axes.
     """
+    if body is None:
+        return {}
     lever, gravity, origin = sp.Matrix(SENSOR[:3]), SENSOR[3], sp.Matrix(SENSOR[4:7])
     turn = body.world_from_body
     position = sp.Matrix(body.position) + turn * lever

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.config import Config, Problem, SensorSettings, Source, did_you_mean, read_source, validate
 from fuselog.fusion.gate import chi_square_quantile
-from fuselog.fusion.kernel.cache import MODEL_NAMES, ModelCard, model_card
+from fuselog.fusion.kernel.cache import ModelCard, model_card
+from fuselog.fusion.kernel.declared import Declared, ModelError, find_model, known_models
 from fuselog.fusion.kernel.tables import Role, Tables
 from fuselog.fusion.plan.sensors import AT_SENSOR, FORCE, ROTATION, SensorPlan, plan_sensor
 from fuselog.fusion.plan.weights import gain_tables
@@ -21,6 +22,7 @@ class Plan:
 
     config: Config
     source: Source
+    model: Declared
     card: ModelCard
     sensors: tuple[SensorPlan, ...]
     measured: tuple[str, ...]  # the generated quantities, in the order of their numbers
@@ -46,10 +48,14 @@ def load_plan(path: str | Path) -> Plan:
 
 def compile_plan(config: Config, source: Source, known_problems: Sequence[Problem] = ()) -> Plan:
     """Resolve names, rows, gates and gains; raises ``ConfigError`` with every problem, the known ones included."""
-    if config.model.name not in MODEL_NAMES:
-        reason = f"there is no model {config.model.name!r}{did_you_mean(config.model.name, MODEL_NAMES)}"
-        raise source.complain([*known_problems, Problem(("model", "name"), reason)])
-    card = model_card(config.model.name)
+    try:
+        model = find_model(config.model.name, Path(source.name).parent)
+        card = model_card(model)
+    except (KeyError, ModelError) as error:
+        reason = str(error)
+        if isinstance(error, KeyError):
+            reason = f"there is no model {config.model.name!r}{did_you_mean(config.model.name, known_models())}"
+        raise source.complain([*known_problems, Problem(("model", "name"), reason)]) from error
     problems = _check_names(config, card)
     sensors = [
         plan_sensor(rank, name, settings, card, problems)
@@ -86,6 +92,7 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
     return Plan(
         config=config,
         source=source,
+        model=model,
         card=card,
         sensors=tuple(sensors),
         measured=tuple(measured),
