@@ -14,11 +14,12 @@ from fuselog.replay.writer import LogWriter
 from fuselog.schemas import Messages
 
 _MARK = {"fuselog": "output"}  # in the metadata of a channel
+_OUTPUTS = {f"fuselog_msgs/msg/{name}" for name in ("Estimate", "Decision", "Health")}
 
 
 def is_output(channel: Channel) -> bool:
     """Whether a channel holds results of a filter, which must not be fused again."""
-    return channel.schema.name.startswith("fuselog_msgs/") or channel.metadata.get("fuselog") == "output"
+    return channel.schema.name in _OUTPUTS or channel.metadata.get("fuselog") == "output"
 
 
 class TrackWriter:
