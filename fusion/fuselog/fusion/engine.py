@@ -1,16 +1,15 @@
 """The engine: owns one filter's memory and moves it by batches of events. The only way to move a filter."""
 
 from dataclasses import dataclass
-from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.events import Decision, Events
+from fuselog.fusion.events import Events
 from fuselog.fusion.kernel.cache import kernel_module
-from fuselog.fusion.kernel.rotations import quaternions_from_rpy
-from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Work
+from fuselog.fusion.kernel.memory import begin_history, blank_rows, empty_history, rest_input, scratch
+from fuselog.fusion.kernel.tables import DECISIONS, NEVER, History, Samples
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.track import Track
 
@@ -47,14 +46,16 @@ class Engine:
         self._kernel = kernel_module(plan.model, plan.measured)
         window_ns = plan.tables.window_ns if window_ns is None else window_ns
         self._tables = plan.tables._replace(sensor=plan.tables.sensor.copy(), window_ns=window_ns)
-        self._work = _work(self._kernel, plan.tables.M)
-        self._history = _history(self._kernel, plan)
+        self._work = scratch(self._kernel, plan.tables.M)
+        u = rest_input(list(plan.card.rest.values()))
+        M, S = plan.tables.M, len(plan.sensors)
+        self._history = begin_history(self._kernel, M, S, _FIRST_CAPACITY, plan.x, plan.P, plan.known, u)
 
     def advance(self, events: Events) -> Track:
         """Apply the events, in the order given, and return a row for each."""
         n, M, N = events.size, self.plan.tables.M, len(self.plan.states)
         packed = N * (N + 1) // 2
-        rows = _rows(n, N, M, self._kernel.LD)
+        rows = blank_rows(self._kernel, n, M)
         samples = Samples(n, *(np.ascontiguousarray(column).reshape(-1) for column in events[:6]))
         done = 0
         while (done := self._kernel.advance(self._tables, self._history, self._work, samples, done, rows)) < n:
@@ -109,7 +110,7 @@ class Engine:
 
     def _grow(self) -> None:
         old = self._history
-        new = _empty_history(self._kernel, self.plan.tables.M, len(self.plan.sensors), 2 * old.capacity)
+        new = empty_history(self._kernel, self.plan.tables.M, len(self.plan.sensors), 2 * old.capacity)
         for before, after in zip(old[1:], new[1:], strict=True):
             after[: len(before)] = before
         self._history = new
@@ -117,69 +118,3 @@ class Engine:
 
 def _copy(history: History) -> History:
     return History(history.capacity, *(column.copy() for column in history[1:]))
-
-
-def _history(kernel: ModuleType, plan: Plan) -> History:
-    """A history that holds the prior only, at no time yet."""
-    history = _empty_history(kernel, plan.tables.M, len(plan.sensors), _FIRST_CAPACITY)
-    N, LD = kernel.N, kernel.LD
-    history.state[:N] = plan.x
-    if kernel.ROTATION >= 0:
-        rpy = plan.x[kernel.ROTATION : kernel.ROTATION + 3]
-        history.state[N : N + 4] = quaternions_from_rpy(rpy[np.newaxis])[0]
-    history.state[kernel.INPUT : kernel.INPUT + kernel.U] = list(plan.card.rest.values())
-    history.state[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N] = plan.P
-    history.state[kernel.KNOWN : kernel.KNOWN + N] = plan.known
-    history.cursor[:] = 0, 0, NEVER
-    history.t[0] = NEVER
-    history.decision[0] = Decision.FUSED
-    return history
-
-
-def _empty_history(kernel: ModuleType, M: int, sensors: int, capacity: int) -> History:
-    C = capacity
-    return History(
-        capacity=C,
-        cursor=np.zeros(3, np.int64),
-        counts=np.zeros(sensors * DECISIONS, np.int64),
-        t=np.zeros(C, np.int64),
-        sensor=np.zeros(C, np.int64),
-        seq=np.zeros(C, np.int64),
-        decision=np.zeros(C, np.uint8),
-        z=np.zeros(C * (M + SAMPLE_WIDTH)),
-        R=np.zeros(C * M * M),
-        state=np.zeros(C * kernel.ROW),
-        nis=np.zeros(C),
-        dof=np.zeros(C, np.int64),
-        nu=np.zeros(C * M),
-        S=np.zeros(C * M),
-        absorbed=np.zeros(C * M),
-    )
-
-
-def _work(kernel: ModuleType, M: int) -> Work:
-    return Work(
-        rows=np.zeros(kernel.SCRATCH),
-        S=np.zeros(M * M),
-        L=np.zeros(M * M),
-        y=np.zeros(M),
-        nu=np.zeros(M),
-        hv=np.zeros((M + 1) * kernel.WIDTH),
-        hi=np.zeros((M + 1) * kernel.WIDTH, np.int64),
-        hn=np.zeros(M + 1, np.int64),
-        active=np.zeros(M, np.int64),
-    )
-
-
-def _rows(n: int, N: int, M: int, spare: int) -> Rows:
-    return Rows(
-        t_ns=np.empty(n, np.int64),
-        decision=np.empty(n, np.uint8),
-        nis=np.full(n, np.nan),
-        dof=np.zeros(n, np.int64),
-        x=np.empty(n * N + spare),
-        P=np.empty(n * N * (N + 1) // 2 + spare),
-        nu=np.full(n * M, np.nan),
-        S=np.full(n * M, np.nan),
-        absorbed=np.full(n * M, np.nan),
-    )

@@ -51,19 +51,26 @@ class InitialSettings(Settings):
 
 
 class GainSettings(Settings):
-    """How the gain is made: by the filter (optimal), or fixed as in Bezmen 2019."""
+    """How the gain is made: by the filter (optimal), fixed as in Bezmen 2019, or the filter's own once it is steady."""
 
-    mode: Literal["optimal", "fixed"] = "optimal"
-    form: Literal["absorb", "state"] = Field(
-        "absorb", description="absorb: share of each innovation; state: weights of numbers in states (eq. 29)"
+    mode: Literal["optimal", "fixed", "steady_state"] = "optimal"
+    form: Literal["absorb", "state", "matrix"] = Field(
+        "absorb",
+        description="absorb: share of each innovation; state: weights of numbers in states (eq. 29); matrix: G itself",
     )
     reference: Literal["live", "scales"] = Field("live", description="absorb: what stands for P in the gain")
     scales: dict[str, Positive] = Field(default_factory=dict, description="reference: scales: sd of each state")
     weights: dict[str, Any] = Field(
         default_factory=dict,
-        description="absorb: {sensor.number: share}; state: {state: {sensor.number: weight}}",
+        description="absorb: {sensor.number: share}; state, matrix: {state: {sensor.number: weight}}",
     )
     sum: Literal["one", "at_most_one", "free"] = Field("at_most_one", description="state: what each row adds up to")
+    rates: dict[str, Positive] = Field(
+        default_factory=dict, description="steady_state: Hz of each sensor that corrects"
+    )
+    nominal: dict[str, Finite] = Field(
+        default_factory=dict, description="steady_state: states and inputs to linearise about; else initial, and rest"
+    )
 
 
 class LagSettings(Settings):

@@ -23,6 +23,10 @@ def predict(s: Floats, a: int, b: int, dt: float, q: Floats, w: Floats) -> None:
     """State row b from row a after dt: x = f(x, u, dt), P = F P F' + Q. w is scratch of 2 N LD numbers."""
 
 
+def linearise(s: Floats, a: int, b: int, dt: float, q: Floats, F: Floats, Q: Floats) -> None:
+    """F (I before) and Q (0 before), rows of N numbers, of ``predict`` from row a, input in row b."""
+
+
 def inject(s: Floats, a: int, w: Floats, d: int) -> None:
     """Correct the x of state row a by the N numbers w[d:]."""
 

@@ -17,7 +17,7 @@ from fuselog.fusion.kernel.declared import Declared
 from fuselog.schemas.errors import FuselogError
 
 _HERE = Path(__file__).parent
-_COMPILED = ("step.py", "advance.py")  # the text that is compiled together with a generated model
+_COMPILED = ("step.py", "advance.py", "linear.py")  # the text that is compiled together with a generated model
 _SOURCES = (_HERE, _HERE.parent / "models")  # what a kernel is made of
 _OWN_IMPORTS = ("from fuselog.fusion.kernel.blank import", "from fuselog.fusion.kernel.step import")
 _HEAD = '''"""Made by fuselog from the model {name}; delete freely."""

@@ -52,7 +52,7 @@ class _Printer(PythonCodePrinter):
 
 
 def generate(model: Model, measured: Mapping[str, Expr]) -> str:
-    """The text of constants, ``predict``, ``inject`` and ``observe`` for a model and what its sensors measure."""
+    """The text of constants, ``predict``, ``linearise``, ``inject``, ``observe`` for a model and what is measured."""
     n, stored = len(model.states), len(_stored(model))
     width = max([1, *(len(_dependence(model, expression)) for expression in measured.values())])
     head = [
@@ -64,7 +64,7 @@ def generate(model: Model, measured: Mapping[str, Expr]) -> str:
         f"ANGLES = np.array({[int(a) for a in model.angles]}, np.uint8)",
         f"ROTATION = {model.names.index(ROTATION[0]) if model.rotation else -1}  # where roll, pitch, yaw stand",
     ]
-    parts = [_predict(model), _inject(model), _observe(model, measured)]
+    parts = [_predict(model), _linearise(model), _inject(model), _observe(model, measured)]
     return "\n".join([*head, *(line for part in parts for line in ("", "", *part)), ""])
 
 
@@ -147,7 +147,17 @@ def _motion(model: Model) -> _Motion:
     return _Motion(moved, slopes, driven)
 
 
-def _predict(model: Model) -> list[str]:
+@dataclass(frozen=True)
+class _Texts:
+    """A transition as text: how it begins, what x becomes, and the entries of F (not those of I) and Q (upper)."""
+
+    head: list[str]
+    moved: dict[str, str]
+    F: dict[tuple[int, int], str]
+    Q: dict[tuple[int, int], str]
+
+
+def _texts(model: Model) -> _Texts:
     n, motion = len(model.states), _motion(model)
     index = {name: i for i, name in enumerate(model.names)}
     F = {(index[row], index[name]): slope for (row, name), slope in motion.slopes.items()}
@@ -157,28 +167,55 @@ def _predict(model: Model) -> list[str]:
     shared, results = _share(model, entries)
     moved = dict(zip(motion.moved, results, strict=False))
     jacobian, noise = results[len(moved) : len(moved) + len(off)], results[len(moved) + len(off) :]
-    body = [
-        "def predict(s, a, b, dt, q, w):",
-        '    """State row b from row a after dt: x = f(x, u, dt), P = F P F\' + Q. w is scratch of 2 LD LD numbers."""',
+    head = [
         *(f"    x_{name} = s[a + {i}]" for i, name in enumerate(map(str, _stored(model)))),
         *(f"    u_{name} = s[b + INPUT + {i}]" for i, name in enumerate(model.inputs)),
         *(f"    U_{name} = s[b + INPUT + U + {i}]" for i, name in enumerate(model.inputs)),
         *(f"    q_{name} = q[{i}]" for i, name in enumerate(model.noise)),
         *(f"    p_{name} = q[{len(model.noise) + i}]" for i, name in enumerate(model.parameters)),
         *(f"    {name} = {_text(value)}" for name, value in shared),
-        *(f"    F_{i}_{j} = {_text(value)}" for (i, j), value in zip(off, jacobian, strict=True)),
+    ]
+    return _Texts(
+        head,
+        {name: _text(value) for name, value in moved.items()},
+        {place: _text(value) for place, value in zip(off, jacobian, strict=True)},
+        {place: _text(value) for place, value in zip(Q, noise, strict=True)},
+    )
+
+
+def _predict(model: Model) -> list[str]:
+    n, texts = len(model.states), _texts(model)
+    off, moved = list(texts.F), texts.moved
+    body = [
+        "def predict(s, a, b, dt, q, w):",
+        '    """State row b from row a after dt: x = f(x, u, dt), P = F P F\' + Q. w is scratch of 2 LD LD numbers."""',
+        *texts.head,
+        *(f"    F_{i}_{j} = {value}" for (i, j), value in texts.F.items()),
         *_product("w", "0", "s", "a + COVARIANCE", off, n, upper=False),
         "    transpose(w, LD * LD, w, 0, LD)",
         *_product("s", "b + COVARIANCE", "w", "LD * LD", off, n, upper=True),
-        *(f"    s[b + COVARIANCE + {i} * LD + {j}] += {_text(value)}" for (i, j), value in zip(Q, noise, strict=True)),
+        *(f"    s[b + COVARIANCE + {i} * LD + {j}] += {value}" for (i, j), value in texts.Q.items()),
         "    mirror(s, b + COVARIANCE, LD)",
         *(
-            f"    s[b + {i}] = {'wrap(' + _text(moved[name]) + ')' if model.angles[i] else _text(moved[name])}"
+            f"    s[b + {i}] = {'wrap(' + moved[name] + ')' if model.angles[i] else moved[name]}"
             for i, name in enumerate(model.names)
             if name in moved
         ),
-        *(f"    s[b + N + {i}] = {_text(moved[str(q)])}" for i, q in enumerate(QUATERNION) if model.rotation),
+        *(f"    s[b + N + {i}] = {moved[str(q)]}" for i, q in enumerate(QUATERNION) if model.rotation),
         *(["    show_rotation(s, b + N, b + ROTATION)"] if model.rotation else []),
+    ]
+    return _used(body)
+
+
+def _linearise(model: Model) -> list[str]:
+    texts = _texts(model)
+    body = [
+        "def linearise(s, a, b, dt, q, F, Q):",
+        '    """F (I before) and Q (0 before), rows of N numbers, of ``predict`` from row a, input in row b."""',
+        *texts.head,
+        *(f"    F[{i} * N + {j}] = {value}" for (i, j), value in texts.F.items()),
+        *(f"    Q[{i} * N + {j}] = {value}" for (i, j), value in texts.Q.items()),
+        *(f"    Q[{j} * N + {i}] = Q[{i} * N + {j}]" for i, j in texts.Q if i != j),
     ]
     return _used(body)
 

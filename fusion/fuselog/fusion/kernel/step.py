@@ -31,7 +31,7 @@ SCRATCH = DELTA + LD
 # literals that kernels compare with: Decision, Role and Gain by number
 FUSED, GATED, BAD_COVARIANCE, UNINITIALISED = 0, 1, 8, 9
 DRIVES_NEXT, DRIVES_PREVIOUS = 1, 2
-OPTIMAL, ABSORB, STATE = 0, 1, 2
+OPTIMAL, ABSORB, STATE, MATRIX = 0, 1, 2, 3
 
 LEVEL_SD = 0.05  # rad, of roll and pitch that a single specific force gave
 MODEST = 1e5  # S over R up to which the short form of the covariance loses no more than five digits of sixteen
@@ -304,7 +304,14 @@ def mahalanobis(work: Work, m: int) -> float:
 def gain(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
     """The rows of G', by the sensor's policy; false where a fixed share cannot be formed."""
     policy, M = tables.gain[sensor], tables.M
-    if policy == STATE:
+    if policy == MATRIX:
+        for a in range(m):
+            for f in range(N):
+                number = tables.table[(sensor * M + work.active[a]) * N + f]
+                work.rows[G + a * LD + f] = number
+            for f in range(N, LD):
+                work.rows[G + a * LD + f] = 0.0
+    elif policy == STATE:
         for a in range(m):
             weigh_states(tables, history, work, k, sensor, a)
     else:

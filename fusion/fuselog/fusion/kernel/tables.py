@@ -30,6 +30,7 @@ class Gain(IntEnum):
     OPTIMAL = 0  # P H' S^-1
     ABSORB = 1  # a fixed share of each innovation
     STATE = 2  # fixed weights of measured numbers in states
+    MATRIX = 3  # fixed numbers, in units of a state by units of a measured number
 
 
 class Tables(NamedTuple):
@@ -49,7 +50,7 @@ class Tables(NamedTuple):
     sensor: Floats  # (S, 7) lever arm x y z (m, body), gravity (m/s²), station x y z (m, world)
     gain: Ints  # (S,) of Gain
     weight: Floats  # (S, M) share of the innovation absorbed
-    table: Floats  # (S, M, N) weight of number q in state f
+    table: Floats  # (S, M, N) weight of number q in state f, or the gain itself
     cycles: int  # whether samples of the same stamp share their weights (``Gain.STATE``)
     scaled: int  # whether the fixed gain is formed with ``scales`` in place of P
     scales: Floats  # (N,) standard deviations
@@ -104,6 +105,15 @@ class Work(NamedTuple):
     hi: Ints  # (M + 1, WIDTH) the states that they belong to
     hn: Ints  # (M + 1,) how many
     active: Ints  # (M,) the numbers that take part in this update
+
+
+class Linear(NamedTuple):
+    """The filter at a state, as matrices; flat arrays."""
+
+    F: Floats  # (N, N)
+    Q: Floats  # (N, N)
+    h: Floats  # (M,)
+    H: Floats  # (M, N)
 
 
 class Rows(NamedTuple):

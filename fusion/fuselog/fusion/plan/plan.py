@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.config import Config, Problem, SensorSettings, Source, did_you_mean, read_source, validate
 from fuselog.fusion.gate import chi_square_quantile
-from fuselog.fusion.kernel.cache import ModelCard, model_card
+from fuselog.fusion.kernel.cache import ModelCard, kernel_module, model_card
 from fuselog.fusion.kernel.declared import Declared, ModelError, find_model, known_models
 from fuselog.fusion.kernel.tables import Role, Tables
 from fuselog.fusion.plan.sensors import AT_SENSOR, FORCE, ROTATION, SensorPlan, plan_sensor
+from fuselog.fusion.plan.steady import check_steady, steady_tables
 from fuselog.fusion.plan.weights import gain_tables
 
 
@@ -64,6 +65,8 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
     measured: list[str] = []
     rows = [_rows(sensor, card, measured) for sensor in sensors]
     gains = gain_tables(config, card, sensors, rows, problems)
+    steady = config.gain.mode == "steady_state"
+    problems += check_steady(config, card, sensors) if steady else []
     # What is missing may be what is wrong: nothing is said of a place below which there is a known problem.
     told = {problem.place[:depth] for problem in known_problems for depth in range(len(problem.place) + 1)}
     problems = [*known_problems, *(problem for problem in problems if problem.place not in told)]
@@ -89,6 +92,11 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         window_ns=round(config.lag.window * 1e9),
         **gains,
     )
+    if steady:
+        settled = steady_tables(config, card, sensors, tables, kernel_module(model, measured))
+        if isinstance(settled, Problem):
+            raise source.complain([settled])
+        tables = settled
     return Plan(
         config=config,
         source=source,

@@ -1,5 +1,6 @@
 """Fixed gains from a configuration: Bezmen's weights, checked and turned into tables (Bezmen 2019, eq. 29)."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -26,9 +27,13 @@ def gain_tables(
     gain, S = config.gain, len(sensors)
     M, N = max(sensor.dof for sensor in sensors), len(card.states)
     policy, weight, table = np.zeros(S, np.int64), np.zeros((S, M)), np.zeros((S, M, N))
-    if gain.mode == "optimal":
+    if gain.mode != "fixed":
         if gain.weights:
             problems.append(Problem(("gain", "weights"), "weights need mode: fixed"))
+    elif gain.form == "matrix":
+        policy[:] = Gain.MATRIX
+        _fill_matrix(card, gain.weights, sensors, table, problems)
+        _require(sensors, table.any(axis=(1, 2)), problems)
     elif gain.form == "absorb":
         policy[:] = Gain.ABSORB
         for place, index, row, value in _numbers(("gain", "weights"), gain.weights, sensors, problems):
@@ -53,6 +58,25 @@ def gain_tables(
         "scaled": int(scaled),
         "scales": scales,
     }
+
+
+def _fill_matrix(
+    card: ModelCard, weights: Mapping[str, Any], sensors: Sequence[SensorPlan], table: Any, problems: list[Problem]
+) -> None:
+    """The rows of G as they are given, state by state, in the state's unit by the number's."""
+    for state, numbers in weights.items():
+        place = ("gain", "weights", state)
+        if state not in card.states:
+            problems.append(Problem(place, f"{card.name} has no state {state!r}{did_you_mean(state, card.states)}"))
+        elif not isinstance(numbers, dict):
+            problems.append(Problem(place, "expected {sensor.number: gain, ...}"))
+        else:
+            f, given = list(card.states).index(state), cast(Mapping[str, Any], numbers)
+            for at, index, row, value in _numbers(place, given, sensors, problems):
+                if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+                    table[index, row, f] = value
+                else:
+                    problems.append(Problem(at, f"a gain is a number, got {value!r}"))
 
 
 def _fill_state(

@@ -1,0 +1,40 @@
+"""The filter's linear parts at a state, for the design of gains and for smoothing; compiled with ``step``."""
+
+from fuselog.fusion.kernel.blank import WIDTH, N, linearise
+from fuselog.fusion.kernel.rows import pointers
+from fuselog.fusion.kernel.step import ROW, measure
+from fuselog.fusion.kernel.tables import Floats, History, Linear, Tables, Work
+from fuselog.schemas.compiled import inline, kernel
+
+
+@kernel
+def transition(tables: Tables, history: History, linear: Linear, k: int, dt: float) -> None:
+    """F (I before) and Q (0 before) over dt (s) from entry k of the history."""
+    transition_at(pointers(tables), pointers(history), pointers(linear), k, dt)
+
+
+@inline
+def transition_at(tables: Tables, history: History, linear: Linear, k: int, dt: float) -> None:
+    """``transition`` on bare pointers."""
+    linearise(history.state, k * ROW, k * ROW, dt, tables.q, linear.F, linear.Q)
+
+
+@kernel
+def observation(tables: Tables, history: History, work: Work, linear: Linear, k: int, sensor: int) -> None:
+    """h, and H (0 before) with rows of N numbers, of what a sensor measures at entry k of the history."""
+    observation_at(pointers(tables), pointers(history), pointers(work), pointers(linear), k, sensor)
+
+
+@inline
+def observation_at(tables: Tables, history: History, work: Work, linear: Linear, k: int, sensor: int) -> None:
+    """``observation`` on bare pointers."""
+    for i in range(tables.rows[sensor]):
+        linear.h[i] = measure(tables, history, work, k, sensor, i, i)
+        spread_row(work, linear.H, i)
+
+
+@inline
+def spread_row(work: Work, H: Floats, i: int) -> None:
+    """Row i of H from its non-zero derivatives."""
+    for j in range(work.hn[i]):
+        H[i * N + work.hi[i * WIDTH + j]] = work.hv[i * WIDTH + j]

@@ -1,0 +1,94 @@
+"""The arrays that a filter's kernel works on, made for one model and configuration."""
+
+from collections.abc import Sequence
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuselog.fusion.kernel.rotations import quaternions_from_rpy
+from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Linear, Rows, Work
+
+Floats = NDArray[np.float64]
+
+
+def begin_history(
+    kernel: ModuleType, M: int, sensors: int, capacity: int, x: Floats, P: Floats, known: NDArray[np.bool_], u: Floats
+) -> History:
+    """A history that holds one state only, at no time yet; ``u`` is the input and its noise densities (2 U,)."""
+    history = empty_history(kernel, M, sensors, capacity)
+    N, LD = kernel.N, kernel.LD
+    history.state[:N] = x
+    if kernel.ROTATION >= 0:
+        rpy = x[kernel.ROTATION : kernel.ROTATION + 3]
+        history.state[N : N + 4] = quaternions_from_rpy(rpy[np.newaxis])[0]
+    history.state[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N] = P
+    history.state[kernel.INPUT : kernel.INPUT + 2 * kernel.U] = u
+    history.state[kernel.KNOWN : kernel.KNOWN + N] = known
+    history.cursor[:] = 0, 0, NEVER
+    history.t[0] = NEVER
+    return history
+
+
+def empty_history(kernel: ModuleType, M: int, sensors: int, capacity: int) -> History:
+    """Room for ``capacity`` entries, all 0."""
+    C = capacity
+    return History(
+        capacity=C,
+        cursor=np.zeros(3, np.int64),
+        counts=np.zeros(sensors * DECISIONS, np.int64),
+        t=np.zeros(C, np.int64),
+        sensor=np.zeros(C, np.int64),
+        seq=np.zeros(C, np.int64),
+        decision=np.zeros(C, np.uint8),
+        z=np.zeros(C * (M + SAMPLE_WIDTH)),
+        R=np.zeros(C * M * M),
+        state=np.zeros(C * kernel.ROW),
+        nis=np.zeros(C),
+        dof=np.zeros(C, np.int64),
+        nu=np.zeros(C * M),
+        S=np.zeros(C * M),
+        absorbed=np.zeros(C * M),
+    )
+
+
+def scratch(kernel: ModuleType, M: int) -> Work:
+    """What one step works with."""
+    return Work(
+        rows=np.zeros(kernel.SCRATCH),
+        S=np.zeros(M * M),
+        L=np.zeros(M * M),
+        y=np.zeros(M),
+        nu=np.zeros(M),
+        hv=np.zeros((M + 1) * kernel.WIDTH),
+        hi=np.zeros((M + 1) * kernel.WIDTH, np.int64),
+        hn=np.zeros(M + 1, np.int64),
+        active=np.zeros(M, np.int64),
+    )
+
+
+def blank_rows(kernel: ModuleType, n: int, M: int) -> Rows:
+    """Rows for n events."""
+    N, spare = kernel.N, kernel.LD
+    return Rows(
+        t_ns=np.empty(n, np.int64),
+        decision=np.empty(n, np.uint8),
+        nis=np.full(n, np.nan),
+        dof=np.zeros(n, np.int64),
+        x=np.empty(n * N + spare),
+        P=np.empty(n * N * (N + 1) // 2 + spare),
+        nu=np.full(n * M, np.nan),
+        S=np.full(n * M, np.nan),
+        absorbed=np.full(n * M, np.nan),
+    )
+
+
+def blank_linear(kernel: ModuleType, M: int) -> Linear:
+    """F = I, Q = 0, h = 0, H = 0."""
+    N = kernel.N
+    return Linear(F=np.eye(N).ravel(), Q=np.zeros(N * N), h=np.zeros(M), H=np.zeros(M * N))
+
+
+def rest_input(rest: Sequence[float]) -> Floats:
+    """The input of a body that does not move, without noise."""
+    return np.array([*rest, *[0.0] * len(rest)])
