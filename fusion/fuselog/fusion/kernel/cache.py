@@ -59,7 +59,7 @@ class ModelCard:
     rest: dict[str, float]  # input: its value for a body that does not move
     parameters: dict[str, float]  # name: default
     quantities: list[str]  # what sensors may measure besides states
-    has_pose: bool
+    has_pose: bool  # whether an Odometry says what the state says
     rotates: bool  # whether roll, pitch, yaw are one rotation, with the covariance of a small turn about body axes
 
 
@@ -78,7 +78,7 @@ def model_card(declared: Declared) -> ModelCard:
     from fuselog.fusion.models.quantities import quantities  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
 
     model = declared.declare()
-    planar_pose = all(state in model.states for state in ("x", "y", "yaw"))
+    pose = model.rotation is None and all(state in model.states for state in ("x", "y", "yaw"))
     card = ModelCard(
         name=model.name,
         states=dict(model.states),
@@ -87,7 +87,7 @@ def model_card(declared: Declared) -> ModelCard:
         rest={name: model.rest.get(name, 0.0) for name in model.inputs},
         parameters=dict(model.parameters),
         quantities=list(quantities(model.body)),
-        has_pose=planar_pose,
+        has_pose=pose,
         rotates=model.rotation is not None,
     )
     _store(path, json.dumps(asdict(card)))

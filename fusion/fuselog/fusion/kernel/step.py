@@ -91,12 +91,12 @@ def level(tables: Tables, history: History, k: int, sensor: int) -> None:
         return
     f = k * (tables.M + 3) + at
     fx, fy, fz = history.z[f], history.z[f + 1], history.z[f + 2]
-    s[b + ROTATION] = atan2(fy, fz)
-    s[b + ROTATION + 1] = atan2(-fx, math.sqrt(fy * fy + fz * fz))
-    settle_rotation(s, b + N, b + ROTATION)
     for i in range(2):
-        s[b + KNOWN + ROTATION + i] = 1.0
-        give_variance(s, b + COVARIANCE, ROTATION + i, LEVEL_SD**2)
+        if s[b + KNOWN + ROTATION + i] == 0.0:
+            s[b + ROTATION + i] = atan2(fy, fz) if i == 0 else atan2(-fx, math.sqrt(fy * fy + fz * fz))
+            s[b + KNOWN + ROTATION + i] = 1.0
+            give_variance(s, b + COVARIANCE, ROTATION + i, LEVEL_SD**2)
+    settle_rotation(s, b + N, b + ROTATION)
 
 
 @inline
