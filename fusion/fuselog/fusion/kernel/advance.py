@@ -2,12 +2,12 @@
 
 import math
 
+from fuselog.fusion.kernel.blank import LD, N
+from fuselog.fusion.kernel.layout import COVARIANCE, DUPLICATE, KNOWN, LATE, PACKED, ROW, UNDECIDED
 from fuselog.fusion.kernel.rows import pointers, row_copy
-from fuselog.fusion.kernel.step import COVARIANCE, KNOWN, LD, PACKED, ROW, N, step
+from fuselog.fusion.kernel.step import step
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
 from fuselog.schemas.compiled import inline, kernel
-
-LATE, DUPLICATE, UNDECIDED = 2, 3, 255
 
 
 @kernel

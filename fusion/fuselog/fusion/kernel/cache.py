@@ -1,5 +1,6 @@
 """Generated kernels and model cards, kept in the user's cache folder so that SymPy and the compiler run once."""
 
+import ast
 import hashlib
 import importlib.metadata
 import importlib.util
@@ -17,9 +18,10 @@ from fuselog.fusion.kernel.declared import Declared
 from fuselog.schemas.errors import FuselogError
 
 _HERE = Path(__file__).parent
-_COMPILED = ("step.py", "advance.py", "linear.py")  # the text that is compiled together with a generated model
+# the texts that are compiled together with a generated model, as one module that takes the model's names
+_COMPILED = ("layout", "innovation", "seeding", "gains", "correction", "step", "advance", "linear")
 _SOURCES = (_HERE, _HERE.parent / "models")  # what a kernel is made of
-_OWN_IMPORTS = ("from fuselog.fusion.kernel.blank import", "from fuselog.fusion.kernel.step import")
+_OWN = {f"fuselog.fusion.kernel.{name}" for name in ("blank", *_COMPILED)}
 _HEAD = '''"""Made by fuselog from the model {name}; delete freely."""
 
 import math
@@ -113,11 +115,14 @@ def _decorate(generated: str) -> str:
 
 
 def _filter_text() -> str:
-    """``step`` and ``advance`` as one text that takes the model's names from the module it stands in."""
+    """The compiled texts as one, without what they import from each other."""
     lines: list[str] = []
     for name in _COMPILED:
-        lines += (_HERE / name).read_text().splitlines()
-    return "\n".join(line for line in lines if not line.startswith(_OWN_IMPORTS)) + "\n"
+        text = (_HERE / f"{name}.py").read_text()
+        own = [node for node in ast.parse(text).body if isinstance(node, ast.ImportFrom) and node.module in _OWN]
+        left_out = {line for node in own for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)}
+        lines += [line for number, line in enumerate(text.splitlines(), 1) if number not in left_out]
+    return "\n".join(lines) + "\n"
 
 
 def _key(declared: Declared, *measured: str) -> str:

@@ -1,8 +1,9 @@
 """The filter's linear parts at a state, for the design of gains and for smoothing; compiled with ``step``."""
 
 from fuselog.fusion.kernel.blank import WIDTH, N, linearise
+from fuselog.fusion.kernel.innovation import measure
+from fuselog.fusion.kernel.layout import ROW
 from fuselog.fusion.kernel.rows import pointers
-from fuselog.fusion.kernel.step import ROW, measure
 from fuselog.fusion.kernel.tables import Floats, History, Linear, Tables, Work
 from fuselog.schemas.compiled import inline, kernel
 

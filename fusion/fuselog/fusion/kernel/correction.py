@@ -1,0 +1,62 @@
+"""What a gain makes of a state and its covariance; compiled with ``step``."""
+
+from fuselog.fusion.kernel.blank import LD, WIDTH, N, inject
+from fuselog.fusion.kernel.innovation import project
+from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, HP, JOSEPH, OPTIMAL, ROW, WHITE, G
+from fuselog.fusion.kernel.rows import mirror, row_add, row_scale, take_outer
+from fuselog.fusion.kernel.tables import History, Tables, Work
+from fuselog.schemas.compiled import inline
+
+MODEST = 1e5  # S over R up to which the short form of the covariance loses no more than five digits of sixteen
+
+
+@inline
+def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
+    """x = x (+) G nu, and the covariance that belongs to this gain."""
+    s, w, b = history.state, work.rows, k * ROW
+    P = b + COVARIANCE
+    row_scale(w, DELTA, w, G, work.nu[0], LD)
+    for a in range(1, m):
+        row_add(w, DELTA, w, G + a * LD, work.nu[a], LD)
+    inject(s, b, w, DELTA)
+    if tables.gain[sensor] == OPTIMAL and modest(tables, history, work, k, sensor, m):
+        take_outer(s, P, w, WHITE, w, WHITE, m, N, LD, True)
+    else:
+        joseph(tables, history, work, k, sensor, m)
+    mirror(s, P, LD)
+
+
+@inline
+def modest(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
+    """Whether P - (L^-1 H P)' (L^-1 H P), which Joseph's form is for the optimal gain, is as exact as the long form.
+
+    It shrinks P in no direction by more than the sum of S/R where R is diagonal, and loses as many digits.
+    """
+    M, rows = tables.M, tables.rows[sensor]
+    good = True
+    for a in range(m):
+        R = k * M * M + work.active[a] * rows
+        good &= work.S[a * m + a] <= MODEST * history.R[R + work.active[a]]
+        for c in range(m):
+            good &= a == c or history.R[R + work.active[c]] == 0.0
+    return good
+
+
+@inline
+def joseph(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
+    """Joseph's P, in two passes that end above the diagonal: T = ((I - G H) P)', P = T' - (T' H' - G R) G'."""
+    s, w, M = history.state, work.rows, tables.M
+    rows, P = tables.rows[sensor], k * ROW + COVARIANCE
+    if tables.scaled:
+        project(work, s, P, m)
+    take_outer(s, P, w, HP, w, G, m, N, LD, False)
+    for a in range(m):
+        to = JOSEPH + a * LD
+        row_scale(w, to, s, P + work.hi[a * WIDTH] * LD, work.hv[a * WIDTH], LD)
+        for j in range(1, work.hn[a]):
+            row_add(w, to, s, P + work.hi[a * WIDTH + j] * LD, work.hv[a * WIDTH + j], LD)
+        for c in range(m):
+            R = history.R[k * M * M + work.active[a] * rows + work.active[c]]
+            if R != 0.0:
+                row_add(w, to, w, G + c * LD, -R, LD)
+    take_outer(s, P, w, G, w, JOSEPH, m, N, LD, True)
