@@ -46,7 +46,7 @@ class Engine:
         self._kernel = kernel_module(plan.model, plan.measured)
         window_ns = plan.tables.window_ns if window_ns is None else window_ns
         self._tables = plan.tables._replace(sensor=plan.tables.sensor.copy(), window_ns=window_ns)
-        self._work = scratch(self._kernel, plan.tables.M)
+        self._work = scratch(self._kernel, plan.tables.M, len(plan.sensors))
         u = rest_input(list(plan.card.rest.values()))
         M, S = plan.tables.M, len(plan.sensors)
         self._history = begin_history(self._kernel, M, S, _FIRST_CAPACITY, plan.x, plan.P, plan.known, u)

@@ -11,7 +11,7 @@ from fuselog.fusion.kernel.tables import SAMPLE_WIDTH
 
 
 class Decision(IntEnum):
-    """What became of a sample. Everything from ``INVALID_NAN`` on is one of the ways to be invalid."""
+    """What became of a sample. One that was skipped had no vote in its cycle of fixed weights."""
 
     FUSED = 0
     GATED = 1
@@ -23,6 +23,12 @@ class Decision(IntEnum):
     INVALID_CLOCK = 7
     INVALID_COVARIANCE = 8
     INVALID_UNINITIALISED = 9
+    SKIPPED = 10
+
+    @property
+    def invalid(self) -> bool:
+        """Whether the sample could not be used."""
+        return self.name.startswith("INVALID_")
 
 
 class Events(NamedTuple):

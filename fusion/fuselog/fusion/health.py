@@ -141,7 +141,7 @@ def _remember(window: Window, track: Track, rank: int) -> Window:
 
 
 def _sensor(sensor: SensorPlan, account: Account, window: Window, losses: Losses, now_ns: int | None) -> SensorHealth:
-    valid = window.stamp_ns[window.decision < Decision.INVALID_NAN]
+    valid = window.stamp_ns[~np.isin(window.decision, [d for d in Decision if d.invalid])]
     last = int(valid.max()) if len(valid) else None
     period = _period(valid)
     age = None if last is None or now_ns is None else (now_ns - last) / 1e9
@@ -187,7 +187,7 @@ def _refused(window: Window) -> list[str]:
         share = np.count_nonzero(window.decision == decision) / n
         if decision == Decision.INVALID_UNINITIALISED and window.decision[-1] != decision:
             continue  # that was while the filter started
-        if decision >= Decision.INVALID_NAN and share:
+        if decision.invalid and share:
             kind = decision.name.removeprefix("INVALID_").lower()
             reasons.append(f"invalid ({kind}): {share:.0%} of the last {n} samples")
     late = np.count_nonzero(window.decision == Decision.LATE) / n

@@ -12,20 +12,21 @@ from fuselog.fusion.plan import Plan
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Account:
-    """received = fused + pending + duplicate + late + gated + the sum of invalid."""
+    """received = fused + pending + duplicate + late + gated + skipped + the sum of invalid."""
 
     received: int
     fused: int
     gated: int
     late: int
     duplicate: int
+    skipped: int
     pending: int
     invalid: dict[str, int]
 
     @property
     def balanced(self) -> bool:
         """Whether every sample is accounted for."""
-        known = self.fused + self.gated + self.late + self.duplicate + self.pending
+        known = self.fused + self.gated + self.late + self.duplicate + self.skipped + self.pending
         return self.received == known + sum(self.invalid.values())
 
 
@@ -34,7 +35,7 @@ Ledger = dict[str, Account]
 
 def make_ledger(plan: Plan, received: Sequence[int], pending: NDArray[np.int64], counts: NDArray[np.int64]) -> Ledger:
     """The accounts of all sensors, from what came in, what is held, and ``counts`` (S, decisions)."""
-    reasons = [d for d in Decision if d.name.startswith("INVALID_")]
+    reasons = [d for d in Decision if d.invalid]
     return {
         sensor.name: Account(
             received=received[i],
@@ -42,6 +43,7 @@ def make_ledger(plan: Plan, received: Sequence[int], pending: NDArray[np.int64],
             gated=int(counts[i, Decision.GATED]),
             late=int(counts[i, Decision.LATE]),
             duplicate=int(counts[i, Decision.DUPLICATE]),
+            skipped=int(counts[i, Decision.SKIPPED]),
             pending=int(pending[i]),
             invalid={d.name.removeprefix("INVALID_").lower(): int(counts[i, d]) for d in reasons},
         )

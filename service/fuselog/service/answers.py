@@ -55,13 +55,14 @@ class StateAnswer(BaseModel):
 
 
 class AccountAnswer(BaseModel):
-    """received = fused + gated + late + duplicate + pending + the sum of invalid."""
+    """received = fused + gated + late + duplicate + skipped + pending + the sum of invalid."""
 
     received: int
     fused: int
     gated: int
     late: int
     duplicate: int
+    skipped: int
     pending: int
     invalid: dict[str, int]
 

@@ -1,6 +1,6 @@
 """Configuration: what it may say, and reading it with a place for every problem."""
 
-from fuselog.fusion.config.settings import Config, SensorSettings, ZenohSettings
+from fuselog.fusion.config.settings import Config, GainSettings, RangeSettings, SensorSettings, ZenohSettings
 from fuselog.fusion.config.source import (
     Problem,
     Source,
@@ -13,7 +13,9 @@ from fuselog.fusion.config.source import (
 
 __all__ = [
     "Config",
+    "GainSettings",
     "Problem",
+    "RangeSettings",
     "SensorSettings",
     "Source",
     "ZenohSettings",

@@ -50,10 +50,50 @@ class InitialSettings(Settings):
     sd: dict[str, NotNegative] = Field(default_factory=dict, description="standard deviations; 1 when not given")
 
 
+class CycleSettings(Settings):
+    """Samples that are fused together, as Bezmen 2019 does it: the newest of each sensor in a period, at its end."""
+
+    period: Annotated[Seconds, Field(ge=0, le=3600)] = Field(0.0, description="0: samples of one stamp")
+    max_age: Annotated[Seconds, Field(gt=0)] | None = Field(
+        None, description="silence after which a sensor is missing; by default as soon as a cycle is without it"
+    )
+    missing: Literal["prediction", "renormalize", "rescale", "skip"] = Field(
+        "rescale", description="where the weight of a missing sensor goes"
+    )
+
+
+class ReacquireSettings(Settings):
+    """The optimal gain in place of fixed ones at the start and after a gap, until the covariance has settled again."""
+
+    factor: Annotated[float, Field(gt=1, allow_inf_nan=False)] = Field(
+        1.2, description="variances over their steady values, on average, above which it begins"
+    )
+    until: Annotated[float, Field(ge=1, allow_inf_nan=False)] = Field(1.05, description="and at which it ends")
+    gap: Annotated[Seconds, Field(gt=0)] = Field(5.0, description="silence of all sensors after which it begins")
+
+
+class RangeSettings(Settings):
+    """Between what a value must be."""
+
+    above: Finite | None = None
+    below: Finite | None = None
+
+
+class VariantSettings(Settings):
+    """A gain for as long as its conditions hold: those of a schedule are tried in turn, the last has none."""
+
+    when: dict[str, RangeSettings | list[str]] = Field(
+        default_factory=dict, description="age (s), speed or a state: {above, below}; sensors: [those that are heard]"
+    )
+    mode: Literal["optimal", "fixed", "steady_state"] | None = Field(None, description="fixed where weights are given")
+    weights: dict[str, Any] = Field(default_factory=dict)
+    nominal: dict[str, Finite] = Field(default_factory=dict)
+
+
 class GainSettings(Settings):
     """How the gain is made: by the filter (optimal), fixed as in Bezmen 2019, or the filter's own once it is steady."""
 
-    mode: Literal["optimal", "fixed", "steady_state"] = "optimal"
+    mode: Literal["optimal", "fixed", "steady_state", "scheduled"] = "optimal"
     form: Literal["absorb", "state", "matrix"] = Field(
         "absorb",
         description="absorb: share of each innovation; state: weights of numbers in states (eq. 29); matrix: G itself",
@@ -65,11 +105,20 @@ class GainSettings(Settings):
         description="absorb: {sensor.number: share}; state, matrix: {state: {sensor.number: weight}}",
     )
     sum: Literal["one", "at_most_one", "free"] = Field("at_most_one", description="state: what each row adds up to")
+    cycle: CycleSettings | None = Field(None, description="absorb, state: fuse what a period brings at once")
     rates: dict[str, Positive] = Field(
-        default_factory=dict, description="steady_state: Hz of each sensor that corrects"
+        default_factory=dict, description="Hz of each sensor that corrects; with them, fixed gains are proved stable"
     )
     nominal: dict[str, Finite] = Field(
-        default_factory=dict, description="steady_state: states and inputs to linearise about; else initial, and rest"
+        default_factory=dict, description="states and inputs to linearise about; else initial, and rest"
+    )
+    open_loop: list[str] = Field(default_factory=list, description="states that may drift: no proof covers them")
+    reacquire: ReacquireSettings | None = Field(None, description="needs rates")
+    schedule: list[VariantSettings] = Field(
+        default_factory=list[VariantSettings], description="scheduled: the first that holds"
+    )
+    covariance: Literal["joseph", "none"] = Field(
+        "joseph", description="none: only x is computed, for state, matrix and steady gains; no gate, no NIS"
     )
 
 

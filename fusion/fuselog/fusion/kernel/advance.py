@@ -3,7 +3,18 @@
 import math
 
 from fuselog.fusion.kernel.blank import LD, N
-from fuselog.fusion.kernel.layout import COVARIANCE, DUPLICATE, KNOWN, LATE, PACKED, ROW, UNDECIDED
+from fuselog.fusion.kernel.layout import (
+    COVARIANCE,
+    DUPLICATE,
+    KNOWN,
+    LATE,
+    MARKS,
+    PACKED,
+    ROW,
+    SENSOR_MARKS,
+    UNDECIDED,
+)
+from fuselog.fusion.kernel.moments import moment
 from fuselog.fusion.kernel.rows import pointers, row_copy
 from fuselog.fusion.kernel.step import step
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
@@ -124,9 +135,9 @@ def replay(tables: Tables, history: History, work: Work, start: int) -> None:
 
 @inline
 def cycle_start(tables: Tables, history: History, at: int) -> int:
-    """The first entry to make anew: with Bezmen's weights that of the same stamp, as samples of a cycle share them."""
-    start = at
-    while tables.cycles and start - 1 > history.cursor[0] and history.t[start - 1] == history.t[at]:
+    """The first entry to make anew: that of the same moment where samples of a cycle share their weights."""
+    start, now = at, moment(tables, history.t[at])
+    while tables.cycles and start - 1 > history.cursor[0] and moment(tables, history.t[start - 1]) == now:
         start -= 1
     return start
 
@@ -134,7 +145,7 @@ def cycle_start(tables: Tables, history: History, at: int) -> int:
 @inline
 def forget(tables: Tables, history: History) -> None:
     """Let go of entries that no sample in the window can come before; the last of them stays as the base."""
-    oldest = history.cursor[2] - tables.window_ns
+    oldest = history.cursor[2] - tables.window_ns - tables.period_ns
     while history.cursor[0] < history.cursor[1] and history.t[history.cursor[0] + 1] < oldest:
         history.cursor[0] += 1
 
@@ -157,6 +168,9 @@ def move_result(tables: Tables, history: History, k: int, to: int) -> None:
     history.nis[to], history.dof[to] = history.nis[k], history.dof[k]
     for i in range(ROW):
         history.state[to * ROW + i] = history.state[k * ROW + i]
+    width = MARKS + tables.S * SENSOR_MARKS
+    for i in range(width):
+        history.marks[to * width + i] = history.marks[k * width + i]
     for i in range(tables.M):
         history.nu[to * tables.M + i] = history.nu[k * tables.M + i]
         history.S[to * tables.M + i] = history.S[k * tables.M + i]
@@ -167,13 +181,13 @@ def move_result(tables: Tables, history: History, k: int, to: int) -> None:
 def write(tables: Tables, history: History, at: int, decision: int, rows: Rows, e: int) -> None:
     """Row e of the output: the newest state, and what became of this sample (entry ``at``, if it has one)."""
     M, s, b = tables.M, history.state, history.cursor[1] * ROW
-    rows.t_ns[e], rows.decision[e] = history.t[history.cursor[1]], decision
+    rows.t_ns[e], rows.decision[e] = moment(tables, history.t[history.cursor[1]]), decision
     row_copy(rows.x, e * N, s, b, LD)
     for i in range(N):
         if s[b + KNOWN + i] == 0.0:
             rows.x[e * N + i] = math.nan
     packed = e * PACKED
-    for i in range(N):
+    for i in range(N if tables.covariance else 0):
         row_copy(rows.P, packed, s, b + COVARIANCE + i * LD + i, LD)  # what is too much, the next row covers
         packed += N - i
     if at < 0:

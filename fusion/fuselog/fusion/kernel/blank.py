@@ -23,6 +23,10 @@ def predict(s: Floats, a: int, b: int, dt: float, q: Floats, w: Floats) -> None:
     """State row b from row a after dt: x = f(x, u, dt), P = F P F' + Q. w is scratch of 2 N LD numbers."""
 
 
+def move(s: Floats, a: int, b: int, dt: float, q: Floats) -> None:
+    """The x of state row b from row a after dt, as ``predict``."""
+
+
 def linearise(s: Floats, a: int, b: int, dt: float, q: Floats, F: Floats, Q: Floats) -> None:
     """F (I before) and Q (0 before), rows of N numbers, of ``predict`` from row a, input in row b."""
 

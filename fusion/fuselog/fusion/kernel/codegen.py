@@ -64,7 +64,8 @@ def generate(model: Model, measured: Mapping[str, Expr]) -> str:
         f"ANGLES = np.array({[int(a) for a in model.angles]}, np.uint8)",
         f"ROTATION = {model.names.index(ROTATION[0]) if model.rotation else -1}  # where roll, pitch, yaw stand",
     ]
-    parts = [_predict(model), _linearise(model), _inject(model), _observe(model, measured)]
+    texts = _texts(model)
+    parts = [_predict(model, texts), _move(model, texts), _linearise(texts), _inject(model), _observe(model, measured)]
     return "\n".join([*head, *(line for part in parts for line in ("", "", *part)), ""])
 
 
@@ -183,9 +184,9 @@ def _texts(model: Model) -> _Texts:
     )
 
 
-def _predict(model: Model) -> list[str]:
-    n, texts = len(model.states), _texts(model)
-    off, moved = list(texts.F), texts.moved
+def _predict(model: Model, texts: _Texts) -> list[str]:
+    n = len(model.states)
+    off = list(texts.F)
     body = [
         "def predict(s, a, b, dt, q, w):",
         '    """State row b from row a after dt: x = f(x, u, dt), P = F P F\' + Q. w is scratch of 2 LD LD numbers."""',
@@ -196,6 +197,25 @@ def _predict(model: Model) -> list[str]:
         *_product("s", "b + COVARIANCE", "w", "LD * LD", off, n, upper=True),
         *(f"    s[b + COVARIANCE + {i} * LD + {j}] += {value}" for (i, j), value in texts.Q.items()),
         "    mirror(s, b + COVARIANCE, LD)",
+        *_arrive(model, texts),
+    ]
+    return _used(body)
+
+
+def _move(model: Model, texts: _Texts) -> list[str]:
+    body = [
+        "def move(s, a, b, dt, q):",
+        '    """The x of state row b from row a after dt, as ``predict``."""',
+        *texts.head,
+        *_arrive(model, texts),
+    ]
+    return _used(body)
+
+
+def _arrive(model: Model, texts: _Texts) -> list[str]:
+    """Lines that write the x of state row b."""
+    moved = texts.moved
+    return [
         *(
             f"    s[b + {i}] = {'wrap(' + moved[name] + ')' if model.angles[i] else moved[name]}"
             for i, name in enumerate(model.names)
@@ -204,11 +224,9 @@ def _predict(model: Model) -> list[str]:
         *(f"    s[b + N + {i}] = {moved[str(q)]}" for i, q in enumerate(QUATERNION) if model.rotation),
         *(["    show_rotation(s, b + N, b + ROTATION)"] if model.rotation else []),
     ]
-    return _used(body)
 
 
-def _linearise(model: Model) -> list[str]:
-    texts = _texts(model)
+def _linearise(texts: _Texts) -> list[str]:
     body = [
         "def linearise(s, a, b, dt, q, F, Q):",
         '    """F (I before) and Q (0 before), rows of N numbers, of ``predict`` from row a, input in row b."""',
@@ -305,15 +323,13 @@ def _share(model: Model, entries: list[Expr]) -> tuple[list[tuple[sp.Symbol, Exp
 
 def _used(lines: Sequence[str]) -> list[str]:
     """The lines without assignments of plain names that no later line reads."""
-    kept: list[str] = []
-    for number, line in enumerate(lines):
-        name = line.strip().partition(" = ")[0]
-        rest = "\n".join(lines[number + 1 :])
-        if not any(read in line for read in (" = s[a + ", " = s[b + INPUT", " = q[")) or any(
-            name == word for word in _words(rest)
-        ):
+    kept, read = list[str](), set[str]()
+    for line in reversed(lines):
+        name, assigns, _ = line.strip().partition(" = ")
+        if not assigns or not name.isidentifier() or name in read:
             kept.append(line)
-    return kept
+            read |= _words(line)
+    return kept[::-1]
 
 
 def _words(text: str) -> set[str]:

@@ -1,6 +1,7 @@
 """What a gain makes of a state and its covariance; compiled with ``step``."""
 
 from fuselog.fusion.kernel.blank import LD, WIDTH, N, inject
+from fuselog.fusion.kernel.gains import policy
 from fuselog.fusion.kernel.innovation import project
 from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, HP, JOSEPH, OPTIMAL, ROW, WHITE, G
 from fuselog.fusion.kernel.rows import mirror, row_add, row_scale, take_outer
@@ -19,7 +20,9 @@ def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
     for a in range(1, m):
         row_add(w, DELTA, w, G + a * LD, work.nu[a], LD)
     inject(s, b, w, DELTA)
-    if tables.gain[sensor] == OPTIMAL and modest(tables, history, work, k, sensor, m):
+    if not tables.covariance:
+        return
+    if policy(tables, history, k, sensor) == OPTIMAL and modest(tables, history, work, k, sensor, m):
         take_outer(s, P, w, WHITE, w, WHITE, m, N, LD, True)
     else:
         joseph(tables, history, work, k, sensor, m)
@@ -47,7 +50,7 @@ def joseph(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
     """Joseph's P, in two passes that end above the diagonal: T = ((I - G H) P)', P = T' - (T' H' - G R) G'."""
     s, w, M = history.state, work.rows, tables.M
     rows, P = tables.rows[sensor], k * ROW + COVARIANCE
-    if tables.scaled:
+    if tables.scaled:  # H P was made of the scales
         project(work, s, P, m)
     take_outer(s, P, w, HP, w, G, m, N, LD, False)
     for a in range(m):

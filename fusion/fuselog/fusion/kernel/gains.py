@@ -2,36 +2,84 @@
 
 from fuselog.fusion.kernel.blank import LD, WIDTH, N
 from fuselog.fusion.kernel.innovation import cholesky, spread
-from fuselog.fusion.kernel.layout import ABSORB, HP, MATRIX, STATE, WHITE, G
+from fuselog.fusion.kernel.layout import (
+    ABSORB,
+    ACQUIRING,
+    HP,
+    MATRIX,
+    MEASURES,
+    OPTIMAL,
+    PREDICTION,
+    RENORMALIZE,
+    SKIP,
+    STATE,
+    VARIANT,
+    WHITE,
+    G,
+)
+from fuselog.fusion.kernel.moments import gather, marks_at, missing
 from fuselog.fusion.kernel.rows import row_copy, row_scale, row_take
 from fuselog.fusion.kernel.tables import History, Tables, Work
 from fuselog.schemas.compiled import inline
 
 
 @inline
+def variant(tables: Tables, history: History, k: int, sensor: int) -> int:
+    """The sensor's place in the gain tables at the moment of entry k."""
+    return history.marks[marks_at(tables, k) + VARIANT] * tables.S + sensor
+
+
+@inline
+def policy(tables: Tables, history: History, k: int, sensor: int) -> int:
+    """How the gain of entry k is made."""
+    if history.marks[marks_at(tables, k) + ACQUIRING]:
+        return OPTIMAL
+    return tables.gain[variant(tables, history, k, sensor)]
+
+
+@inline
+def has_vote(tables: Tables, history: History, work: Work, k: int, sensor: int) -> bool:
+    """Whether entry k takes part in its cycle: not where a newer one of its sensor does, or the cycle is left out."""
+    how = policy(tables, history, k, sensor)
+    if not tables.cycles or how in (OPTIMAL, MATRIX):
+        return True
+    gather(tables, history, work, k)
+    whole = True
+    for other in range(tables.S):
+        if tables.missing == SKIP and tables.role[other] == MEASURES:
+            whole &= not missing(tables, history, work, k, other)
+    return whole and work.here[sensor] == k
+
+
+@inline
 def gain(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
     """The rows of G', by the sensor's policy; false where a fixed share cannot be formed."""
-    policy, M = tables.gain[sensor], tables.M
-    if policy == MATRIX:
-        for a in range(m):
-            for f in range(N):
-                number = tables.table[(sensor * M + work.active[a]) * N + f]
-                work.rows[G + a * LD + f] = number
-            for f in range(N, LD):
-                work.rows[G + a * LD + f] = 0.0
-    elif policy == STATE:
+    how, M = policy(tables, history, k, sensor), tables.M
+    if how == MATRIX:
+        take_matrix(tables, work, m, variant(tables, history, k, sensor))
+    elif how == STATE:
         for a in range(m):
             weigh_states(tables, history, work, k, sensor, a)
     else:
-        if policy == ABSORB and not share(tables, work, m):
+        if how == ABSORB and not share(tables, work, m):
             return False
         solve(work, m)
-        for a in range(m if policy == ABSORB else 0):
-            weight = tables.weight[sensor * tables.M + work.active[a]]
+        for a in range(m if how == ABSORB else 0):
+            weight = portion(tables, history, work, k, sensor, a, tables.what[sensor * M + work.active[a]])
             row_scale(work.rows, G + a * LD, work.rows, G + a * LD, weight, LD)
     for a in range(m):
         history.absorbed[k * M + work.active[a]] = spread(work, G, a, a)
     return True
+
+
+@inline
+def take_matrix(tables: Tables, work: Work, m: int, at: int) -> None:
+    """G as it is given."""
+    for a in range(m):
+        for f in range(N):
+            work.rows[G + a * LD + f] = tables.table[(at * tables.M + work.active[a]) * N + f]
+        for f in range(N, LD):
+            work.rows[G + a * LD + f] = 0.0
 
 
 @inline
@@ -55,31 +103,52 @@ def share(tables: Tables, work: Work, m: int) -> bool:
 
 @inline
 def weigh_states(tables: Tables, history: History, work: Work, k: int, sensor: int, a: int) -> None:
-    """Bezmen's table (2019, eq. 29): state f takes weight g of number q, in the state's unit by 1 / (dh_q/dx_f).
-
-    Samples of the same stamp are one cycle. They are applied one after the other, which gives what (29) gives at once
-    when each weight is divided by what the later ones leave: g' = g / (1 - sum of the later g).
-    """
+    """Bezmen's table (2019, eq. 29): state f takes weight g of number q, in the state's unit by 1 / (dh_q/dx_f)."""
     for i in range(LD):
         work.rows[G + a * LD + i] = 0.0
     for j in range(work.hn[a]):
         state = work.hi[a * WIDTH + j]
-        weight = tables.table[(sensor * tables.M + work.active[a]) * N + state]
-        left = 1.0 - later_weight(tables, history, k, state)
-        if weight != 0.0 and left > 0.0:
-            work.rows[G + a * LD + state] = weight / left / work.hv[a * WIDTH + j]
+        weight = portion(tables, history, work, k, sensor, a, state)
+        if weight != 0.0:
+            work.rows[G + a * LD + state] = weight / work.hv[a * WIDTH + j]
 
 
 @inline
-def later_weight(tables: Tables, history: History, k: int, state: int) -> float:
-    """The weights in a state of the samples that come after entry k at the same stamp."""
+def portion(tables: Tables, history: History, work: Work, k: int, sensor: int, a: int, target: int) -> float:
+    """The weight of active number a in a target: a state, or for ``ABSORB`` what it measures.
+
+    The samples of a cycle are applied one after the other, which gives what Bezmen 2019, eq. 29 gives at once when each
+    weight is divided by what the later ones leave: g' = g / (1 - sum of the later g). The weight of a missing sensor
+    goes where ``tables.missing`` says.
+    """
+    at, how, row = variant(tables, history, k, sensor), policy(tables, history, k, sensor), work.active[a]
+    own = tables.weight[at * tables.M + row] if how == ABSORB else tables.table[(at * tables.M + row) * N + target]
+    if not tables.cycles or own == 0.0:
+        return own
+    total, absent, later = 0.0, 0.0, 0.0
+    for other in range(tables.S):
+        weight = toward(tables, at - sensor + other, other, how, target)
+        total += weight
+        absent += weight if missing(tables, history, work, k, other) else 0.0
+        later += weight if work.here[other] > k else 0.0
+    factor = 1.0
+    if tables.missing == RENORMALIZE:
+        factor = total / (total - absent)
+    elif tables.missing != PREDICTION and absent < 1.0:
+        factor = 1.0 / (1.0 - absent)
+    left = 1.0 - factor * later
+    return factor * own / left if left > 0.0 else 0.0
+
+
+@inline
+def toward(tables: Tables, at: int, sensor: int, how: int, target: int) -> float:
+    """What the numbers of a sensor weigh in a target; ``at`` is its place in the gain tables."""
     total = 0.0
-    for later in range(k + 1, history.cursor[1] + 1):
-        if history.t[later] != history.t[k]:
-            break
-        first = history.sensor[later] * tables.M
-        for i in range(tables.rows[history.sensor[later]]):
-            total += tables.table[(first + i) * N + state]
+    for i in range(tables.rows[sensor] if tables.role[sensor] == MEASURES else 0):
+        if how == ABSORB:
+            total += tables.weight[at * tables.M + i] if tables.what[sensor * tables.M + i] == target else 0.0
+        else:
+            total += tables.table[(at * tables.M + i) * N + target]
     return total
 
 

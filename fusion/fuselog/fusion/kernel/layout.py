@@ -16,7 +16,12 @@ JOSEPH = WHITE + MOST * LD
 DELTA = JOSEPH + MOST * LD
 SCRATCH = DELTA + LD
 
-# literals that kernels compare with: Decision, Role and Gain by number
-FUSED, GATED, LATE, DUPLICATE, BAD_COVARIANCE, UNINITIALISED, UNDECIDED = 0, 1, 2, 3, 8, 9, 255
-DRIVES_NEXT, DRIVES_PREVIOUS = 1, 2
+BEGUN, VARIANT, ACQUIRING, MARKS = 0, 1, 2, 3  # a row of marks: these, and behind them for each sensor
+LAST, STREAK, SENSOR_MARKS = 0, 1, 2  # the moment it was last fused, and how many samples it had gated since
+
+# literals that kernels compare with: Decision, Role, Gain, Missing and Condition by number
+FUSED, GATED, LATE, DUPLICATE, BAD_COVARIANCE, UNINITIALISED, SKIPPED, UNDECIDED = 0, 1, 2, 3, 8, 9, 10, 255
+MEASURES, DRIVES_NEXT, DRIVES_PREVIOUS = 0, 1, 2
 OPTIMAL, ABSORB, STATE, MATRIX = 0, 1, 2, 3
+PREDICTION, RENORMALIZE, RESCALE, SKIP = 0, 1, 2, 3
+IF_AGE, IF_STATE, IF_SPEED, IF_SENSOR = 0, 1, 2, 3

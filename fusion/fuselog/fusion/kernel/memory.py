@@ -25,6 +25,8 @@ def begin_history(
     history.state[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N] = P
     history.state[kernel.INPUT : kernel.INPUT + 2 * kernel.U] = u
     history.state[kernel.KNOWN : kernel.KNOWN + N] = known
+    marks = history.marks[: kernel.MARKS + sensors * kernel.SENSOR_MARKS]
+    marks[kernel.MARKS + kernel.LAST :: kernel.SENSOR_MARKS] = NEVER
     history.cursor[:] = 0, 0, NEVER
     history.t[0] = NEVER
     return history
@@ -43,6 +45,7 @@ def empty_history(kernel: ModuleType, M: int, sensors: int, capacity: int) -> Hi
         decision=np.zeros(C, np.uint8),
         z=np.zeros(C * (M + SAMPLE_WIDTH)),
         R=np.zeros(C * M * M),
+        marks=np.zeros(C * (kernel.MARKS + sensors * kernel.SENSOR_MARKS), np.int64),
         state=np.zeros(C * kernel.ROW),
         nis=np.zeros(C),
         dof=np.zeros(C, np.int64),
@@ -52,7 +55,7 @@ def empty_history(kernel: ModuleType, M: int, sensors: int, capacity: int) -> Hi
     )
 
 
-def scratch(kernel: ModuleType, M: int) -> Work:
+def scratch(kernel: ModuleType, M: int, sensors: int) -> Work:
     """What one step works with."""
     return Work(
         rows=np.zeros(kernel.SCRATCH),
@@ -64,6 +67,7 @@ def scratch(kernel: ModuleType, M: int) -> Work:
         hi=np.zeros((M + 1) * kernel.WIDTH, np.int64),
         hn=np.zeros(M + 1, np.int64),
         active=np.zeros(M, np.int64),
+        here=np.zeros(sensors, np.int64),
     )
 
 
@@ -76,7 +80,7 @@ def blank_rows(kernel: ModuleType, n: int, M: int) -> Rows:
         nis=np.full(n, np.nan),
         dof=np.zeros(n, np.int64),
         x=np.empty(n * N + spare),
-        P=np.empty(n * N * (N + 1) // 2 + spare),
+        P=np.zeros(n * N * (N + 1) // 2 + spare),
         nu=np.full(n * M, np.nan),
         S=np.full(n * M, np.nan),
         absorbed=np.full(n * M, np.nan),

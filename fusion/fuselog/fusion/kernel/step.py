@@ -7,9 +7,9 @@ exactly symmetric.
 
 import math
 
-from fuselog.fusion.kernel.blank import LD, U, X, predict
+from fuselog.fusion.kernel.blank import LD, U, X, move, predict
 from fuselog.fusion.kernel.correction import update
-from fuselog.fusion.kernel.gains import gain
+from fuselog.fusion.kernel.gains import gain, has_vote
 from fuselog.fusion.kernel.innovation import cholesky, innovate, mahalanobis, weigh
 from fuselog.fusion.kernel.layout import (
     BAD_COVARIANCE,
@@ -19,9 +19,15 @@ from fuselog.fusion.kernel.layout import (
     FUSED,
     GATED,
     INPUT,
+    LAST,
+    MARKS,
     ROW,
+    SENSOR_MARKS,
+    SKIPPED,
+    STREAK,
     UNINITIALISED,
 )
+from fuselog.fusion.kernel.moments import choose, marks_at, moment
 from fuselog.fusion.kernel.rows import row_copy
 from fuselog.fusion.kernel.seeding import all_known, level, ready, seed
 from fuselog.fusion.kernel.tables import NEVER, History, Tables, Work
@@ -40,12 +46,14 @@ def step(tables: Tables, history: History, work: Work, k: int) -> None:
         history.S[k * M + i] = math.nan
         history.absorbed[k * M + i] = math.nan
     carry(tables, history, work, k, role)
+    choose(tables, history, k)
     level(tables, history, k, sensor)
     if role in (DRIVES_NEXT, DRIVES_PREVIOUS):
         take_input(history, k, M)
         history.decision[k] = FUSED
     else:
         history.decision[k] = correct(tables, history, work, k, sensor)
+    mark(tables, history, k, sensor)
 
 
 @inline
@@ -56,13 +64,19 @@ def carry(tables: Tables, history: History, work: Work, k: int, role: int) -> No
         s[b + i] = s[a + i]
     if role == DRIVES_PREVIOUS:
         take_input(history, k, tables.M)
+    width = MARKS + tables.S * SENSOR_MARKS
+    for i in range(width):
+        history.marks[k * width + i] = history.marks[(k - 1) * width + i]
     before = history.t[k - 1]
-    if before == NEVER or before == history.t[k]:
+    elapsed = 0 if before == NEVER else moment(tables, history.t[k]) - moment(tables, before)
+    if elapsed == 0:
         row_copy(s, b, s, a, X)
         for i in range(LD):
             row_copy(s, b + COVARIANCE + i * LD, s, a + COVARIANCE + i * LD, LD)
+    elif tables.covariance:
+        predict(s, a, b, elapsed * 1e-9, tables.q, work.rows)
     else:
-        predict(s, a, b, (history.t[k] - before) * 1e-9, tables.q, work.rows)
+        move(s, a, b, elapsed * 1e-9, tables.q)
 
 
 @inline
@@ -87,15 +101,28 @@ def correct(tables: Tables, history: History, work: Work, k: int, sensor: int) -
         m = seed(tables, history, work, k, sensor)
         if m == 0:
             return FUSED
+    if not has_vote(tables, history, work, k, sensor):
+        return SKIPPED
     innovate(tables, history, work, k, sensor, m)
-    weigh(tables, history, work, k, sensor, m)
-    if not cholesky(work.S, work.L, m):
-        return BAD_COVARIANCE
-    nis = mahalanobis(work, m)
-    history.nis[k], history.dof[k] = nis, m
-    if not nis <= tables.threshold[sensor * tables.M + m - 1]:
-        return GATED
+    if tables.covariance:
+        weigh(tables, history, work, k, sensor, m)
+        if not cholesky(work.S, work.L, m):
+            return BAD_COVARIANCE
+        nis = mahalanobis(work, m)
+        history.nis[k], history.dof[k] = nis, m
+        if not nis <= tables.threshold[sensor * tables.M + m - 1]:
+            return GATED
     if not gain(tables, history, work, k, sensor, m):
         return BAD_COVARIANCE
     update(tables, history, work, k, sensor, m)
     return FUSED
+
+
+@inline
+def mark(tables: Tables, history: History, k: int, sensor: int) -> None:
+    """Remember when the sensor was last fused, and how many samples it had gated since."""
+    at = marks_at(tables, k) + MARKS + sensor * SENSOR_MARKS
+    if history.decision[k] == FUSED:
+        history.marks[at + LAST], history.marks[at + STREAK] = moment(tables, history.t[k]), 0
+    elif history.decision[k] == GATED:
+        history.marks[at + STREAK] += 1

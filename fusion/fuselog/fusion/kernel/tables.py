@@ -7,7 +7,7 @@ import numpy as np
 
 NEVER = np.iinfo(np.int64).min  # the time of a filter that has seen nothing
 
-DECISIONS = 10  # kinds of ``Decision``
+DECISIONS = 11  # kinds of ``Decision``
 SAMPLE_WIDTH = 3  # numbers that come with a sample besides what was measured: the position of a beacon
 
 # A flat array outside of a kernel, a bare pointer inside; no one type describes both.
@@ -33,13 +33,35 @@ class Gain(IntEnum):
     MATRIX = 3  # fixed numbers, in units of a state by units of a measured number
 
 
+class Missing(IntEnum):
+    """What happens to the weight of a sensor that a cycle has no sample of (``design.present_weights``)."""
+
+    PREDICTION = 0  # it stays with the prediction
+    RENORMALIZE = 1  # the others take it
+    RESCALE = 2  # the others take what they would if the sensor did not exist
+    SKIP = 3  # the cycle is left out
+
+
+class Condition(IntEnum):
+    """What a schedule of gains looks at, before the samples of a moment."""
+
+    AGE = 0  # s since the filter began
+    STATE = 1  # a state
+    SPEED = 2  # the length of the velocity
+    SENSOR = 3  # whether a sensor was fused within ``max_age_ns``: 1 or 0
+
+
 class Tables(NamedTuple):
     """A configuration in numbers, for S sensors of at most M measured numbers each, N states, K noise densities.
+
+    There are V variants of the gain; a filter without a schedule has one. The samples of one moment, a stamp or a cycle
+    of stamps, are weighed by the same variant.
 
     All arrays are flat, row by row; the shapes are those that a row has.
     """
 
     M: int
+    S: int
     role: Ints  # (S,) of Role
     rows: Ints  # (S,) numbers that a sample measures
     what: Ints  # (S, M) a state's index, or -1 - q for generated quantity q
@@ -48,10 +70,22 @@ class Tables(NamedTuple):
     angle: Bytes  # (S, M) whether the number is an angle
     threshold: Floats  # (S, M) gate: most that the NIS of 1 to M numbers may be; inf for no gate
     sensor: Floats  # (S, 7) lever arm x y z (m, body), gravity (m/s²), station x y z (m, world)
-    gain: Ints  # (S,) of Gain
-    weight: Floats  # (S, M) share of the innovation absorbed
-    table: Floats  # (S, M, N) weight of number q in state f, or the gain itself
-    cycles: int  # whether samples of the same stamp share their weights (``Gain.STATE``)
+    gain: Ints  # (V, S) of Gain
+    weight: Floats  # (V, S, M) share of the innovation absorbed
+    table: Floats  # (V, S, M, N) weight of number q in state f, or the gain itself
+    when: Ints  # (C, 3) variant, Condition, and the state or sensor that it is about
+    conditions: int  # C
+    between: Floats  # (C, 2) a variant is taken when all its conditions are between these; the last has none
+    speeds: int  # W
+    speed: Ints  # (W,) the states whose length is the speed
+    cycles: int  # whether samples of the same moment share their weights
+    period_ns: int  # of a cycle; 0: a moment is one stamp
+    missing: int  # of Missing
+    max_age_ns: int  # how long a sensor may be silent before it is missing
+    gap_ns: int  # silence of all sensors after which the optimal gain acquires the state anew; -1: never
+    acquire: Floats  # (2,) ratio of P to its steady value above which that goes on, once begun, and begins
+    settled: Floats  # (N,) 1 over the steady variance before a correction, over how many have one; 0 where none
+    covariance: int  # whether P is computed
     scaled: int  # whether the fixed gain is formed with ``scales`` in place of P
     scales: Floats  # (N,) standard deviations
     q: Floats  # (K,) process noise densities, then the model's parameters
@@ -73,6 +107,7 @@ class History(NamedTuple):
     decision: Bytes  # (C,)
     z: Floats  # (C, M + SAMPLE_WIDTH)
     R: Floats  # (C, M * M)
+    marks: Ints  # (C, MARKS + S * SENSOR_MARKS) what is remembered besides the state
     state: Floats  # (C, ROW)
     nis: Floats  # (C,)
     dof: Ints  # (C,)
@@ -105,6 +140,7 @@ class Work(NamedTuple):
     hi: Ints  # (M + 1, WIDTH) the states that they belong to
     hn: Ints  # (M + 1,) how many
     active: Ints  # (M,) the numbers that take part in this update
+    here: Ints  # (S,) the last entry of each sensor in the moment, or -1
 
 
 class Linear(NamedTuple):

@@ -12,9 +12,9 @@ from fuselog.fusion.gate import chi_square_quantile
 from fuselog.fusion.kernel.cache import ModelCard, kernel_module, model_card
 from fuselog.fusion.kernel.declared import Declared, ModelError, find_model, known_models
 from fuselog.fusion.kernel.tables import Role, Tables
+from fuselog.fusion.plan.gains import gain_tables
 from fuselog.fusion.plan.sensors import AT_SENSOR, FORCE, ROTATION, SensorPlan, plan_sensor
-from fuselog.fusion.plan.steady import check_steady, steady_tables
-from fuselog.fusion.plan.weights import gain_tables
+from fuselog.fusion.plan.steady import check_frozen, check_rates, settle_gains
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,8 +65,8 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
     measured: list[str] = []
     rows = [_rows(sensor, card, measured) for sensor in sensors]
     gains = gain_tables(config, card, sensors, rows, problems)
-    steady = config.gain.mode == "steady_state"
-    problems += check_steady(config, card, sensors) if steady else []
+    problems += check_rates(config, card, sensors)
+    problems += _check_without_covariance(config)
     # What is missing may be what is wrong: nothing is said of a place below which there is a known problem.
     told = {problem.place[:depth] for problem in known_problems for depth in range(len(problem.place) + 1)}
     problems = [*known_problems, *(problem for problem in problems if problem.place not in told)]
@@ -78,8 +78,10 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         fed |= {list(card.states).index(name) for name in ("roll", "pitch")}
     sd = np.array([config.initial.sd.get(state, 1.0) for state in card.states])
     M = max(sensor.dof for sensor in sensors)
+    P = np.diag(sd**2)
     tables = Tables(
         M=M,
+        S=len(sensors),
         role=np.array([sensor.role for sensor in sensors]),
         rows=np.array([sensor.dof for sensor in sensors]),
         what=_table([[what for what, _ in r] for r in rows], M, np.int64),
@@ -92,11 +94,11 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         window_ns=round(config.lag.window * 1e9),
         **gains,
     )
-    if steady:
-        settled = steady_tables(config, card, sensors, tables, kernel_module(model, measured))
-        if isinstance(settled, Problem):
-            raise source.complain([settled])
-        tables = settled
+    kernel = kernel_module(model, measured)
+    frozen = check_frozen(config, card, sensors, tables, kernel, P)
+    settled = settle_gains(config, card, sensors, tables, kernel) if not frozen else tables
+    if isinstance(settled, Problem) or frozen:
+        raise source.complain([*frozen, *([settled] if isinstance(settled, Problem) else [])])
     return Plan(
         config=config,
         source=source,
@@ -104,9 +106,9 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         card=card,
         sensors=tuple(sensors),
         measured=tuple(measured),
-        tables=tables,
+        tables=settled,
         x=np.array([config.initial.state.get(state, 0.0) for state in card.states]),
-        P=np.diag(sd**2),
+        P=P,
         known=given | np.array([index not in fed for index in range(len(card.states))]),
     )
 
@@ -125,6 +127,12 @@ def _check_names(config: Config, card: ModelCard) -> list[Problem]:
         for name in given
         if name not in known
     ]
+
+
+def _check_without_covariance(config: Config) -> list[Problem]:
+    gated = [name for name, sensor in config.sensors.items() if sensor.gate is not None]
+    reason = "needs the covariance, and gain.covariance is none"
+    return [Problem(("sensors", name, "gate"), reason) for name in gated if config.gain.covariance == "none"]
 
 
 def _rows(sensor: SensorPlan, card: ModelCard, measured: list[str]) -> list[tuple[int, int]]:

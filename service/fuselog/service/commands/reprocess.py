@@ -45,7 +45,7 @@ def reprocess(
 def _print(summary: dict[str, Any]) -> None:
     rate = summary["messages"] / max(summary["seconds"], 1e-9)
     typer.echo(f"{summary['messages']} messages in {summary['seconds']:.2f} s ({rate:,.0f}/s)")
-    names = ("received", "fused", "gated", "late", "duplicate")
+    names = ("received", "fused", "gated", "late", "duplicate", "skipped")
     typer.echo(f"{'sensor':16}" + "".join(f"{name:>11}" for name in (*names, "invalid")))
     for sensor, account in summary["ledger"].items():
         invalid = sum(account["invalid"].values())
