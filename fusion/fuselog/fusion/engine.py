@@ -92,7 +92,7 @@ class Engine:
         P = row[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N]
         known = row[kernel.KNOWN : kernel.KNOWN + N] != 0
         x = np.where(known, row[:N], np.nan)
-        return Estimate(t_ns=None if t == NEVER else t, x=x, P=P, known=known)
+        return Estimate(t_ns=None if t == NEVER else self._moment(t), x=x, P=P, known=known)
 
     @property
     def counts(self) -> NDArray[np.int64]:
@@ -107,6 +107,11 @@ class Engine:
         """Go back to a snapshot of an engine with the same plan."""
         self._history = _copy(snapshot.history)
         self._tables.sensor[:] = snapshot.sensor
+
+    def _moment(self, t: int) -> int:
+        """The end of the cycle of stamp t (ns), where there are cycles."""
+        period = self._tables.period_ns
+        return -(-t // period) * period if period else t
 
     def _grow(self) -> None:
         old = self._history

@@ -1,6 +1,14 @@
 """Configuration: what it may say, and reading it with a place for every problem."""
 
-from fuselog.fusion.config.settings import Config, GainSettings, RangeSettings, SensorSettings, ZenohSettings
+from fuselog.fusion.config.settings import (
+    AgeSettings,
+    Config,
+    GainSettings,
+    RangeSettings,
+    SensorSettings,
+    WhenSettings,
+    ZenohSettings,
+)
 from fuselog.fusion.config.source import (
     Problem,
     Source,
@@ -12,12 +20,14 @@ from fuselog.fusion.config.source import (
 )
 
 __all__ = [
+    "AgeSettings",
     "Config",
     "GainSettings",
     "Problem",
     "RangeSettings",
     "SensorSettings",
     "Source",
+    "WhenSettings",
     "ZenohSettings",
     "did_you_mean",
     "load_config",

@@ -79,12 +79,31 @@ class RangeSettings(Settings):
     below: Finite | None = None
 
 
+class AgeSettings(Settings):
+    """Between which ages (s) a filter must be."""
+
+    above: Seconds | None = None
+    below: Seconds | None = None
+
+
+class WhenSettings(Settings):
+    """Conditions that must all hold, of the estimate before a sample."""
+
+    age: AgeSettings | None = Field(None, description="since the first sample")
+    speed: RangeSettings | None = Field(None, description="length of the velocity, m/s")
+    states: dict[str, RangeSettings] = Field(default_factory=dict, description="in their units")
+    sensors: list[str] = Field(default_factory=list, description="those that are heard: fused within cycle.max_age")
+
+    @property
+    def empty(self) -> bool:
+        """Whether it always holds."""
+        return not (self.age or self.speed or self.states or self.sensors)
+
+
 class VariantSettings(Settings):
     """A gain for as long as its conditions hold: those of a schedule are tried in turn, the last has none."""
 
-    when: dict[str, RangeSettings | list[str]] = Field(
-        default_factory=dict, description="age (s), speed or a state: {above, below}; sensors: [those that are heard]"
-    )
+    when: WhenSettings = WhenSettings.model_validate({})
     mode: Literal["optimal", "fixed", "steady_state"] | None = Field(None, description="fixed where weights are given")
     weights: dict[str, Any] = Field(default_factory=dict)
     nominal: dict[str, Finite] = Field(default_factory=dict)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fuselog.fusion.config import Config, GainSettings, Problem, RangeSettings, did_you_mean
+from fuselog.fusion.config import AgeSettings, Config, GainSettings, Problem, RangeSettings, WhenSettings, did_you_mean
 from fuselog.fusion.kernel.cache import ModelCard
 from fuselog.fusion.kernel.tables import Condition, Gain, Missing, Role
 from fuselog.fusion.plan.sensors import SensorPlan
@@ -72,14 +72,14 @@ def variants(config: Config, problems: list[Problem]) -> list[tuple[Place, GainS
         return [(("gain",), gain)]
     if gain.weights:
         problems.append(Problem(("gain", "weights"), "mode: scheduled has its weights in the schedule"))
-    if not gain.schedule or gain.schedule[-1].when:
+    if not gain.schedule or not gain.schedule[-1].when.empty:
         problems.append(Problem(("gain", "schedule"), "its last gain has no conditions, for when no other holds"))
     found: list[tuple[Place, GainSettings]] = []
     for index, entry in enumerate(gain.schedule):
         place = ("gain", "schedule", index)
         if entry.mode is None and not entry.weights:
             problems.append(Problem(place, "needs a mode, or weights"))
-        if not entry.when and index < len(gain.schedule) - 1:
+        if entry.when.empty and index < len(gain.schedule) - 1:
             problems.append(Problem(place, "has no conditions: what follows would never hold"))
         update = {
             "mode": entry.mode or "fixed",
@@ -117,43 +117,36 @@ def _check_gain(gain: GainSettings, card: ModelCard) -> list[Problem]:
 
 
 def _tests(
-    index: int,
-    when: dict[str, RangeSettings | list[str]],
-    card: ModelCard,
-    sensors: Sequence[SensorPlan],
-    problems: list[Problem],
+    index: int, when: WhenSettings, card: ModelCard, sensors: Sequence[SensorPlan], problems: list[Problem]
 ) -> list[Test]:
     """The conditions of a variant in numbers."""
+    place, states = ("gain", "schedule", index, "when"), list(card.states)
     found: list[Test] = []
-    ranks = {sensor.name: sensor.rank for sensor in sensors if sensor.role == Role.MEASURES}
-    for name, wanted in when.items():
-        place = ("gain", "schedule", index, "when", name)
-        if (name == "sensors") != isinstance(wanted, list):
-            problems.append(Problem(place, "expected a list of sensors" if name == "sensors" else "expected a range"))
-        elif isinstance(wanted, list):
-            for sensor in wanted:
-                if sensor in ranks:
-                    found.append((index, Condition.SENSOR, ranks[sensor], 0.5, math.inf))
-                else:
-                    reason = f"no sensor {sensor!r} corrects{did_you_mean(sensor, ranks)}"
-                    problems.append(Problem(place, reason))
+    if when.age:
+        found.append((index, Condition.AGE, 0, *_between((*place, "age"), when.age, problems)))
+    if when.speed:
+        found.append((index, Condition.SPEED, 0, *_between((*place, "speed"), when.speed, problems)))
+        if not any(state in _VELOCITY for state in states):
+            problems.append(Problem((*place, "speed"), f"{card.name} has no velocity"))
+    for name, wanted in when.states.items():
+        at = (*place, "states", name)
+        between = _between(at, wanted, problems)
+        if name in states:
+            found.append((index, Condition.STATE, states.index(name), *between))
         else:
-            low = -math.inf if wanted.above is None else wanted.above
-            high = math.inf if wanted.below is None else wanted.below
-            if not low < high or (math.isinf(low) and math.isinf(high)):
-                problems.append(Problem(place, "needs above, below, or both with room between them"))
-            subject = _subject(name, card)
-            if subject is None:
-                known = ["age", "speed", "sensors", *card.states]
-                problems.append(Problem(place, f"is not age, speed, sensors or a state{did_you_mean(name, known)}"))
-            else:
-                found.append((index, *subject, low, high))
+            problems.append(Problem(at, f"{card.name} has no state {name!r}{did_you_mean(name, states)}"))
+    ranks = {sensor.name: sensor.rank for sensor in sensors if sensor.role == Role.MEASURES}
+    for name in when.sensors:
+        if name in ranks:
+            found.append((index, Condition.SENSOR, ranks[name], 0.5, math.inf))
+        else:
+            problems.append(Problem((*place, "sensors"), f"no sensor {name!r} corrects{did_you_mean(name, ranks)}"))
     return found
 
 
-def _subject(name: str, card: ModelCard) -> tuple[int, int] | None:
-    if name in card.states:
-        return Condition.STATE, list(card.states).index(name)
-    if name == "speed" and any(state in _VELOCITY for state in card.states):
-        return Condition.SPEED, 0
-    return (Condition.AGE, 0) if name == "age" else None
+def _between(place: Place, wanted: RangeSettings | AgeSettings, problems: list[Problem]) -> tuple[float, float]:
+    low = -math.inf if wanted.above is None else wanted.above
+    high = math.inf if wanted.below is None else wanted.below
+    if not low < high or (math.isinf(low) and math.isinf(high)):
+        problems.append(Problem(place, "needs above, below, or both with room between them"))
+    return low, high

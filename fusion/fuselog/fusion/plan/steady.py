@@ -280,7 +280,7 @@ def _votes(tables: Tables, order: Round, table: Floats) -> list[Floats]:
 
 
 def _absorbed(fixed: Floats | None, steps: Sequence[Step], shares: Sequence[Floats]) -> tuple[Corrected, ...]:
-    """The steady covariances of shares of the innovation: their gain follows P until it settles, or ``fixed`` scales."""
+    """The steady covariances of shares of the innovation: their gain follows P till it settles, or ``fixed`` scales."""
     posterior: Floats = np.eye(len(steps[0].F))
     around: list[Corrected] = []
     for _ in range(_MOST_PERIODS):
