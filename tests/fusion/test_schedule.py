@@ -184,8 +184,8 @@ def test_a_state_that_nothing_would_ever_correct() -> None:
         (TWO | {"schedule": [{"mode": "optimal", "when": {"age": {"below": 1}}}]}, "its last gain has no conditions"),
         (TWO | {"schedule": [{"mode": "optimal"}, {"mode": "optimal"}]}, "what follows would never hold"),
         (
-            TWO | {"schedule": [{"when": {"states": {"agee": {"below": 1}}}, "mode": "optimal"}, {"mode": "optimal"}]},
-            "agee",
+            TWO | {"schedule": [{"when": {"states": {"a": {"below": 1}}}, "mode": "optimal"}, {"mode": "optimal"}]},
+            "no state 'a'",
         ),
         (TWO | {"schedule": [{"when": {"age": {}}, "mode": "optimal"}, {"mode": "optimal"}]}, "needs above, below"),
         (
