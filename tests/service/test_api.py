@@ -38,6 +38,7 @@ def snapshot() -> Snapshot:
         estimate=filter.estimate,
         ledger=filter.ledger,
         recent=no_samples(plan),
+        optimality_ratio=None,
         losses={},
         progress={},
         unpublished=0,

@@ -40,12 +40,17 @@ class Engine:
     replayed from there; an older one is counted late. Cutting the input into batches changes no bit of any row.
     """
 
-    def __init__(self, plan: Plan, *, window_ns: int | None = None) -> None:
-        """``window_ns`` takes the place of the plan's: 0 for events that come in their order."""
+    def __init__(self, plan: Plan, *, window_ns: int | None = None, optimal: bool = False) -> None:
+        """``window_ns`` takes the place of the plan's: 0 for events that come in their order.
+
+        ``optimal`` puts the optimal gain in the place of any other.
+        """
         self.plan = plan
         self._kernel = kernel_module(plan.model, plan.measured)
         window_ns = plan.tables.window_ns if window_ns is None else window_ns
         self._tables = plan.tables._replace(sensor=plan.tables.sensor.copy(), window_ns=window_ns)
+        if optimal:
+            self._tables = self._tables._replace(gain=np.zeros_like(plan.tables.gain), gap_ns=-1, covariance=1)
         self._work = scratch(self._kernel, plan.tables.M, len(plan.sensors))
         u = rest_input(list(plan.card.rest.values()))
         M, S = plan.tables.M, len(plan.sensors)

@@ -13,6 +13,7 @@ from fuselog.fusion.gate import chi_square_quantile
 from fuselog.fusion.intake import same_topic
 from fuselog.fusion.ledger import Account, Ledger
 from fuselog.fusion.plan import Plan, SensorPlan
+from fuselog.fusion.shadow import GainHealth, gain_health
 from fuselog.fusion.track import Track
 
 Status = Literal["ok", "degraded", "waiting"]
@@ -32,6 +33,7 @@ class Window(NamedTuple):
     decision: NDArray[np.uint8]
     nis: NDArray[np.float64]  # NaN where the sample was not tried
     dof: NDArray[np.int64]
+    innovation: NDArray[np.float64]  # (n, M)
 
 
 Recent = tuple[Window, ...]  # by rank
@@ -68,6 +70,7 @@ class SensorHealth:
     account: Account
     losses: Losses
     nis: NisHealth | None
+    gain: GainHealth | None
     last_stamp_ns: int | None
     period_s: float | None
     age_s: float | None  # of the last sample when the filter was at its newest time
@@ -82,12 +85,14 @@ class Health:
     t_ns: int | None
     finite: bool
     positive: bool  # the covariance is positive semi-definite
+    optimality_ratio: float | None  # the variances over those of the optimal gain; None where that is not followed
     sensors: dict[str, SensorHealth]
 
 
 def no_samples(plan: Plan) -> Recent:
     """The memory of a filter that has seen nothing."""
-    empty = Window(np.empty(0, np.int64), np.empty(0, np.uint8), np.empty(0), np.empty(0, np.int64))
+    innovation = np.empty((0, plan.tables.M))
+    empty = Window(np.empty(0, np.int64), np.empty(0, np.uint8), np.empty(0), np.empty(0, np.int64), innovation)
     return (empty,) * len(plan.sensors)
 
 
@@ -96,10 +101,19 @@ def remember(recent: Recent, track: Track) -> Recent:
     return tuple(_remember(window, track, rank) for rank, window in enumerate(recent))
 
 
-def assess(plan: Plan, *, estimate: Estimate, ledger: Ledger, recent: Recent, losses: Mapping[str, Losses]) -> Health:
+def assess(
+    plan: Plan,
+    *,
+    estimate: Estimate,
+    ledger: Ledger,
+    recent: Recent,
+    losses: Mapping[str, Losses],
+    optimality_ratio: float | None = None,
+) -> Health:
     """The health of a filter; ``losses`` by topic, without the slash in front."""
     sensors = {
         sensor.name: _sensor(
+            plan,
             sensor,
             ledger[sensor.name],
             recent[sensor.rank],
@@ -123,6 +137,7 @@ def assess(plan: Plan, *, estimate: Estimate, ledger: Ledger, recent: Recent, lo
         t_ns=estimate.t_ns,
         finite=finite,
         positive=positive,
+        optimality_ratio=optimality_ratio,
         sensors=sensors,
     )
 
@@ -137,10 +152,13 @@ def _remember(window: Window, track: Track, rank: int) -> Window:
         decision=np.concatenate([window.decision, track.decision[mine]])[kept],
         nis=np.concatenate([window.nis, track.nis[mine]])[kept],
         dof=np.concatenate([window.dof, track.dof[mine]])[kept],
+        innovation=np.concatenate([window.innovation, track.innovation[mine]])[kept],
     )
 
 
-def _sensor(sensor: SensorPlan, account: Account, window: Window, losses: Losses, now_ns: int | None) -> SensorHealth:
+def _sensor(
+    plan: Plan, sensor: SensorPlan, account: Account, window: Window, losses: Losses, now_ns: int | None
+) -> SensorHealth:
     valid = window.stamp_ns[~np.isin(window.decision, [d for d in Decision if d.invalid])]
     last = int(valid.max()) if len(valid) else None
     period = _period(valid)
@@ -162,6 +180,7 @@ def _sensor(sensor: SensorPlan, account: Account, window: Window, losses: Losses
         account=account,
         losses=losses,
         nis=nis,
+        gain=_gain(plan, sensor, window),
         last_stamp_ns=last,
         period_s=period,
         age_s=age,
@@ -241,6 +260,12 @@ def _nis(window: Window) -> NisHealth | None:
         outside_95=float(outside.mean()),
         above_95=float(above.mean()),
     )
+
+
+def _gain(plan: Plan, sensor: SensorPlan, window: Window) -> GainHealth | None:
+    innovation = window.innovation[:, : sensor.dof]
+    whole = np.isfinite(innovation).all(axis=1) & (window.decision <= Decision.GATED)
+    return gain_health(plan, sensor.name, innovation[whole])
 
 
 def _period(stamps: NDArray[np.int64]) -> float | None:

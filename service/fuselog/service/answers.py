@@ -86,6 +86,14 @@ class NisAnswer(BaseModel):
     above_95: Number
 
 
+class GainAnswer(BaseModel):
+    """Lag-1 correlation of the innovations by number: 0 is to be expected of the optimal gain only."""
+
+    correlation: dict[str, Number]
+    expected: dict[str, Number] | None
+    mismatch: Number
+
+
 class SensorAnswer(BaseModel):
     """One sensor; null where there was nothing to examine."""
 
@@ -96,6 +104,7 @@ class SensorAnswer(BaseModel):
     account: AccountAnswer
     losses: LossesAnswer
     nis: NisAnswer | None
+    gain: GainAnswer | None
     last_stamp_ns: int | None
     period_s: Number
     age_s: Number
@@ -109,6 +118,7 @@ class HealthAnswer(BaseModel):
     t_ns: int | None
     finite: bool
     positive: bool
+    optimality_ratio: Number = Field(description="variances over those of the optimal gain; null when it is used")
     unpublished: int = Field(description="results dropped because subscribers were too slow")
     idle_s: Number = Field(description="since any sample came, by the clock of the service")
     sensors: dict[str, SensorAnswer]
@@ -142,6 +152,7 @@ def health_answer(snapshot: Snapshot, *, now: float) -> HealthAnswer:
         t_ns=health.t_ns,
         finite=health.finite,
         positive=health.positive,
+        optimality_ratio=health.optimality_ratio,
         unpublished=dropped,
         idle_s=None if snapshot.last_arrival is None else now - snapshot.last_arrival,
         sensors={name: _sensor(sensor) for name, sensor in health.sensors.items()},
@@ -158,6 +169,7 @@ def _sensor(sensor: SensorHealth) -> SensorAnswer:
         account=AccountAnswer.model_validate(sensor.account, from_attributes=True),
         losses=LossesAnswer.model_validate(losses._asdict()),
         nis=None if sensor.nis is None else NisAnswer.model_validate(sensor.nis, from_attributes=True),
+        gain=None if sensor.gain is None else GainAnswer.model_validate(sensor.gain, from_attributes=True),
         last_stamp_ns=sensor.last_stamp_ns,
         period_s=sensor.period_s,
         age_s=sensor.age_s,

@@ -23,6 +23,7 @@ class Snapshot:
     estimate: Estimate
     ledger: Ledger
     recent: Recent
+    optimality_ratio: float | None
     losses: dict[str, Losses]  # by key
     progress: dict[str, dict[str, Progress]]  # by publisher and key
     unpublished: int
@@ -31,7 +32,14 @@ class Snapshot:
     @property
     def health(self) -> Health:
         """What is wrong with the filter, and why."""
-        return assess(self.plan, estimate=self.estimate, ledger=self.ledger, recent=self.recent, losses=self.losses)
+        return assess(
+            self.plan,
+            estimate=self.estimate,
+            ledger=self.ledger,
+            recent=self.recent,
+            losses=self.losses,
+            optimality_ratio=self.optimality_ratio,
+        )
 
 
 class Runner:
@@ -42,7 +50,7 @@ class Runner:
 
     def __init__(self, plan: Plan, outbox: Outbox, *, learn: Learn) -> None:
         self.plan = plan
-        self._filter = Filter(plan, order="as_received")
+        self._filter = Filter(plan, order="as_received", compare=True)
         self._outputs, self._outbox = Outputs(plan), outbox
         topics = {sensor.settings.topic: sensor.settings.type for sensor in plan.sensors}
         streams = Streams(self._filter.intake, stream_types(topics), learn)
@@ -86,6 +94,7 @@ class Runner:
             estimate=self._filter.estimate,
             ledger=self._filter.ledger,
             recent=self._recent,
+            optimality_ratio=self._filter.optimality_ratio,
             losses=self._losses(),
             progress=self._sources.progress(),
             unpublished=self._outbox.dropped,

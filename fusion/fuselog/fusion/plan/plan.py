@@ -14,7 +14,7 @@ from fuselog.fusion.kernel.declared import Declared, ModelError, find_model, kno
 from fuselog.fusion.kernel.tables import Role, Tables
 from fuselog.fusion.plan.gains import gain_tables
 from fuselog.fusion.plan.sensors import AT_SENSOR, FORCE, ROTATION, SensorPlan, plan_sensor
-from fuselog.fusion.plan.steady import check_frozen, check_rates, settle_gains
+from fuselog.fusion.plan.steady import Lag, check_frozen, check_rates, settle_gains
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,6 +28,7 @@ class Plan:
     sensors: tuple[SensorPlan, ...]
     measured: tuple[str, ...]  # the generated quantities, in the order of their numbers
     tables: Tables
+    lags: Mapping[str, Lag]  # by sensor, where gains are steady
     x: NDArray[np.float64]  # (N,) initial state
     P: NDArray[np.float64]  # (N, N) initial covariance
     known: NDArray[np.bool_]  # (N,) which states are given; the others wait for their first measurement
@@ -36,6 +37,10 @@ class Plan:
     def states(self) -> tuple[str, ...]:
         """State names, in order."""
         return tuple(self.card.states)
+
+    def sensor(self, name: str) -> SensorPlan:
+        """The sensor of that name; raises ``KeyError``."""
+        return next(sensor for sensor in self.sensors if sensor.name == name)
 
 
 def load_plan(path: str | Path) -> Plan:
@@ -95,10 +100,12 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         **gains,
     )
     kernel = kernel_module(model, measured)
-    frozen = check_frozen(config, card, sensors, tables, kernel, P)
-    settled = settle_gains(config, card, sensors, tables, kernel) if not frozen else tables
-    if isinstance(settled, Problem) or frozen:
-        raise source.complain([*frozen, *([settled] if isinstance(settled, Problem) else [])])
+    problems += check_frozen(config, card, sensors, tables, kernel, P)
+    settled = settle_gains(config, card, sensors, tables, kernel)
+    if isinstance(settled, Problem):
+        raise source.complain([*problems, settled])
+    if problems:
+        raise source.complain(problems)
     return Plan(
         config=config,
         source=source,
@@ -106,7 +113,8 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         card=card,
         sensors=tuple(sensors),
         measured=tuple(measured),
-        tables=settled,
+        tables=settled.tables,
+        lags=settled.lags,
         x=np.array([config.initial.state.get(state, 0.0) for state in card.states]),
         P=P,
         known=given | np.array([index not in fed for index in range(len(card.states))]),

@@ -46,6 +46,20 @@ class Round(NamedTuple):
     length: Fraction  # s
 
 
+class Lag(NamedTuple):
+    """What a sensor's innovations must look like, one sample after the other, when its gain is steady."""
+
+    seen: Floats  # (m, n) H F of the error from one of its samples to the next, other sensors' corrections included
+    correlation: Floats  # (m,) of each number with its own before
+
+
+class Settled(NamedTuple):
+    """The tables with all steady gains, and by sensor what its innovations must look like with them."""
+
+    tables: Tables
+    lags: dict[str, Lag]
+
+
 def check_rates(config: Config, card: ModelCard, sensors: Sequence[SensorPlan]) -> list[Problem]:
     """What is wrong with a configuration whose gains are to be steady, before anything is computed."""
     gain, problems = config.gain, list[Problem]()
@@ -74,15 +88,16 @@ def check_rates(config: Config, card: ModelCard, sensors: Sequence[SensorPlan]) 
 
 def settle_gains(
     config: Config, card: ModelCard, sensors: Sequence[SensorPlan], tables: Tables, kernel: ModuleType
-) -> Tables | Problem:
-    """The tables with all steady gains, and what reacquisition needs; or why there is none.
+) -> Settled | Problem:
+    """The tables with all steady gains, and what reacquisition and health need; or why there is none.
 
     The schedule of all sensors repeats after the least common multiple of their periods; its periodic Riccati equation
     gives a gain for each sample in it (Bittanti and Colaneri 2009), and a sensor's gain is the mean of its own. With
     these gains, and with fixed ones, the error of the estimate must die out.
     """
     if not config.gain.rates:
-        return tables
+        return Settled(tables, {})
+    lags: dict[str, Lag] = {}
     rates = {s.rank: config.gain.rates[s.name] for s in sensors if s.role == Role.MEASURES}
     for index, (place, variant) in enumerate(variants(config, [])):
         try:
@@ -99,9 +114,10 @@ def settle_gains(
                 settled = np.zeros(len(card.states))
                 settled[kept] = np.divide(1.0, worst * np.count_nonzero(worst), where=worst > 0, out=0 * worst)
                 tables = tables._replace(settled=settled)
+                lags = {s.name: _lag(order, inner, around, s.rank) for s in sensors if s.rank in order.rank}
         except DesignError as error:
             return Problem((*place, "mode"), _why(variant, error))
-    return tables
+    return Settled(tables, lags)
 
 
 def check_frozen(
@@ -245,6 +261,20 @@ def _prove(
     else:
         gains = [table[rank, : len(step.H)].T for rank, step in zip(order.rank, steps, strict=True)]
     return periodic_lyapunov(steps, gains, states=tuple(states))
+
+
+def _lag(order: Round, steps: Sequence[Step], around: Sequence[Corrected], rank: int) -> Lag:
+    """C_1 = H F (K - G) S from one sample of a sensor to its next (Mehra 1970), with what others do in between."""
+    n, first = len(steps), order.rank.index(rank)
+    G, S, prior, H = around[first].G, around[first].S, around[first].prior, steps[first].H
+    error = np.eye(len(prior))
+    for k in range(first + 1, first + n + 1):
+        error = steps[k % n].F @ error
+        if order.rank[k % n] == rank:
+            break
+        error = error - around[k % n].G @ steps[k % n].H @ error
+    seen = H @ error
+    return Lag(seen, np.diag(seen @ (prior @ H.T - G @ S)) / np.diag(S))
 
 
 def _kinds(tables: Tables) -> Floats:

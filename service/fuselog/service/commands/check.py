@@ -14,6 +14,7 @@ def check(
     """Validate a configuration; with a log, say which topic feeds what, without fusing anything."""
     from fuselog.fusion import Filter, load_plan  # noqa: PLC0415  slow to import
     from fuselog.fusion.kernel.tables import Role  # noqa: PLC0415  slow to import
+    from fuselog.fusion.report import steady_gains  # noqa: PLC0415  slow to import
     from fuselog.replay import open_log  # noqa: PLC0415  slow to import
     from fuselog.replay.reprocess import open_inputs  # noqa: PLC0415  slow to import
 
@@ -23,6 +24,8 @@ def check(
         verb = "corrects" if sensor.role == Role.MEASURES else "drives"
         gate = f", gate {sensor.settings.gate:g}" if sensor.settings.gate else ""
         typer.echo(f"  {sensor.settings.topic} -> {sensor.name} {verb} by {', '.join(sensor.names)}{gate}")
+    for line in steady_gains(plan):
+        typer.echo(f"  {line}")
     if explain:
         typer.echo(plan.config.model_dump_json(indent=2, by_alias=True))
     if log is not None:

@@ -1,0 +1,67 @@
+"""What gains other than the optimal one cost, and what the innovations say of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuselog.fusion.engine import Engine, Estimate
+from fuselog.fusion.events import Events
+from fuselog.fusion.kernel.tables import Gain
+from fuselog.fusion.plan import Plan
+
+_FEWEST = 50  # innovations that say something of a correlation
+
+
+class Shadow:
+    """The same filter with the optimal gain, beside one that has another: what its covariance is compared with."""
+
+    def __init__(self, plan: Plan, *, window_ns: int | None = None) -> None:
+        """``window_ns`` as ``Engine`` takes it."""
+        self._engine = Engine(plan, window_ns=window_ns, optimal=True)
+
+    def advance(self, events: Events) -> None:
+        """Follow the filter."""
+        self._engine.advance(events)
+
+    def place(self, rank: int, lever: NDArray[np.float64]) -> None:
+        """Say where a sensor is, as ``Engine.place``."""
+        self._engine.place(rank, lever)
+
+    def ratio(self, estimate: Estimate) -> float:
+        """The variances of an estimate over those that the optimal gain would have, on average over the states."""
+        variances, least = np.diag(estimate.P), np.diag(self._engine.estimate.P)
+        known = estimate.known & (least > 0)
+        return float(np.mean(variances[known] / least[known])) if known.any() else 1.0
+
+
+def is_optimal(plan: Plan) -> bool:
+    """Whether every gain is the optimal one."""
+    return bool((plan.tables.gain == Gain.OPTIMAL).all())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainHealth:
+    """The innovations of a sensor, each with the one before it: white only where the gain is the optimal one."""
+
+    correlation: dict[str, float]  # of each measured number, lag 1
+    expected: dict[str, float] | None  # with these gains, where they are steady and the noises right
+    mismatch: float | None  # norm of what to add to the gain, (H F)^+ C_1 C_0^-1, where gains are steady
+
+
+def gain_health(plan: Plan, sensor: str, innovation: NDArray[np.float64]) -> GainHealth | None:
+    """What the innovations (n, m) of a sensor say of its gain; None where they are too few (Mehra 1970)."""
+    if len(innovation) < _FEWEST:
+        return None
+    names, lag = plan.sensor(sensor).names, plan.lags.get(sensor)
+    C0 = innovation.T @ innovation / len(innovation)
+    C1 = innovation[1:].T @ innovation[:-1] / len(innovation)
+    mismatch = None
+    if lag is not None and np.linalg.cond(C0) < 1 / np.finfo(np.float64).eps:
+        mismatch = float(np.linalg.norm(np.linalg.pinv(lag.seen) @ C1 @ np.linalg.inv(C0)))
+    correlation = np.divide(np.diag(C1), np.diag(C0), out=np.zeros(len(C0)), where=np.diag(C0) > 0)
+    return GainHealth(
+        correlation=dict(zip(names, correlation.tolist(), strict=True)),
+        expected=None if lag is None else dict(zip(names, lag.correlation.tolist(), strict=True)),
+        mismatch=mismatch,
+    )
