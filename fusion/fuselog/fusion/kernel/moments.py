@@ -15,6 +15,7 @@ from fuselog.fusion.kernel.layout import (
     IF_SENSOR,
     IF_SPEED,
     IF_STATE,
+    INPUT,
     KNOWN,
     LAST,
     MARKS,
@@ -83,8 +84,9 @@ def holds(tables: Tables, history: History, k: int, c: int, now: int) -> bool:
         value = history.state[x + index] if history.state[x + KNOWN + index] != 0.0 else math.nan
     elif what == IF_SPEED:
         for i in range(tables.speeds):
-            at = x + tables.speed[i]
-            value += history.state[at] * history.state[at] if history.state[at + KNOWN] != 0.0 else math.nan
+            at = tables.speed[i]
+            part = history.state[x + (at if at < N else INPUT + at - N)]
+            value += part * part if at >= N or history.state[x + KNOWN + at] != 0.0 else math.nan
         value = math.sqrt(value)
     elif what == IF_SENSOR:
         value = 1.0 if heard(tables, history, k, index, now) else 0.0

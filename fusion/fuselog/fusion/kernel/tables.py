@@ -77,7 +77,7 @@ class Tables(NamedTuple):
     conditions: int  # C
     between: Floats  # (C, 2) a variant is taken when all its conditions are between these; the last has none
     speeds: int  # W
-    speed: Ints  # (W,) the states whose length is the speed
+    speed: Ints  # (W,) the states, or N + the inputs, whose length is the speed
     cycles: int  # whether samples of the same moment share their weights
     period_ns: int  # of a cycle; 0: a moment is one stamp
     missing: int  # of Missing

@@ -12,7 +12,7 @@ from fuselog.fusion.kernel.tables import Condition, Gain, Missing, Role
 from fuselog.fusion.plan.sensors import SensorPlan
 from fuselog.fusion.plan.weights import Place, Row, read_weights
 
-_VELOCITY = ("v", "vx", "vy", "vz")  # the states whose length is the speed, as far as a model has them
+_VELOCITY = ("v", "vx", "vy", "vz")  # whose length is the speed, as far as a model has them
 
 Test = tuple[int, int, int, float, float]  # variant, Condition, what it is about, and between what it must be
 
@@ -38,7 +38,7 @@ def gain_tables(
     tests = [
         test for index, entry in enumerate(gain.schedule) for test in _tests(index, entry.when, card, sensors, problems)
     ]
-    speed = [index for index, state in enumerate(card.states) if state in _VELOCITY]
+    speed = _speed(card)
     cycle = gain.cycle
     period_ns = round(cycle.period * 1e9) if cycle else 0
     return {
@@ -126,7 +126,7 @@ def _tests(
         found.append((index, Condition.AGE, 0, *_between((*place, "age"), when.age, problems)))
     if when.speed:
         found.append((index, Condition.SPEED, 0, *_between((*place, "speed"), when.speed, problems)))
-        if not any(state in _VELOCITY for state in states):
+        if not _speed(card):
             problems.append(Problem((*place, "speed"), f"{card.name} has no velocity"))
     for name, wanted in when.states.items():
         at = (*place, "states", name)
@@ -142,6 +142,12 @@ def _tests(
         else:
             problems.append(Problem((*place, "sensors"), f"no sensor {name!r} corrects{did_you_mean(name, ranks)}"))
     return found
+
+
+def _speed(card: ModelCard) -> list[int]:
+    """The states that are velocities; without any the inputs that are, counted on from the states."""
+    states = [index for index, state in enumerate(card.states) if state in _VELOCITY]
+    return states or [len(card.states) + index for index, name in enumerate(card.inputs) if name in _VELOCITY]
 
 
 def _between(place: Place, wanted: RangeSettings | AgeSettings, problems: list[Problem]) -> tuple[float, float]:
