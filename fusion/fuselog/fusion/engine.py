@@ -13,7 +13,7 @@ from fuselog.fusion.kernel.tables import DECISIONS, NEVER, History, Samples
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.track import Track
 
-_FIRST_CAPACITY = 64  # entries; the history grows with what the window holds
+_FIRST_CAPACITY = 16  # entries, few enough for the fastest cache; the history grows with what the window holds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,12 +8,10 @@ from fuselog.fusion.kernel.rows import mirror, row_add, row_scale, take_outer
 from fuselog.fusion.kernel.tables import History, Tables, Work
 from fuselog.schemas.compiled import inline
 
-MODEST = 1e5  # S over R up to which the short form of the covariance loses no more than five digits of sixteen
-
 
 @inline
-def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
-    """x = x (+) G nu, and the covariance that belongs to this gain."""
+def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int, modest: bool) -> None:
+    """x = x (+) G nu, and the covariance that belongs to this gain; ``modest`` as ``weigh`` found it."""
     s, w, b = history.state, work.rows, k * ROW
     P = b + COVARIANCE
     row_scale(w, DELTA, w, G, work.nu[0], LD)
@@ -22,27 +20,11 @@ def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
     inject(s, b, w, DELTA)
     if not tables.covariance:
         return
-    if policy(tables, history, k, sensor) == OPTIMAL and modest(tables, history, work, k, sensor, m):
+    if policy(tables, history, k, sensor) == OPTIMAL and modest:
         take_outer(s, P, w, WHITE, w, WHITE, m, N, LD, True)
     else:
         joseph(tables, history, work, k, sensor, m)
     mirror(s, P, LD)
-
-
-@inline
-def modest(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
-    """Whether P - (L^-1 H P)' (L^-1 H P), which Joseph's form is for the optimal gain, is as exact as the long form.
-
-    It shrinks P in no direction by more than the sum of S/R where R is diagonal, and loses as many digits.
-    """
-    M, rows = tables.M, tables.rows[sensor]
-    good = True
-    for a in range(m):
-        R = k * M * M + work.active[a] * rows
-        good &= work.S[a * m + a] <= MODEST * history.R[R + work.active[a]]
-        for c in range(m):
-            good &= a == c or history.R[R + work.active[c]] == 0.0
-    return good
 
 
 @inline

@@ -9,6 +9,8 @@ from fuselog.fusion.kernel.scalars import wrap
 from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
 
+MODEST = 1e5  # S over R up to which the short form of the covariance loses no more than five digits of sixteen
+
 
 @inline
 def measure(tables: Tables, history: History, work: Work, k: int, sensor: int, i: int, at: int) -> float:
@@ -49,15 +51,26 @@ def innovate(tables: Tables, history: History, work: Work, k: int, sensor: int, 
 
 
 @inline
-def weigh(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
-    """S = H P H' + R (its lower triangle), and the rows of H P (Bezmen 2019, eq. 28)."""
-    M, rows = tables.M, tables.rows[sensor]
+def weigh(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
+    """S = H P H' + R (its lower triangle), and the rows of H P (Bezmen 2019, eq. 28).
+
+    Returns whether P - (L^-1 H P)' (L^-1 H P), which Joseph's form is for the optimal gain, is as exact as the long:
+    it shrinks P in no direction by more than the sum of S/R where R is diagonal, and loses as many digits.
+    """
+    M, rows, modest = tables.M, tables.rows[sensor], True
     project(work, history.state, k * ROW + COVARIANCE, m)
     for a in range(m):
-        for c in range(a + 1):
-            R = history.R[k * M * M + work.active[a] * rows + work.active[c]]
+        line = k * M * M + work.active[a] * rows
+        for c in range(a):
+            R = history.R[line + work.active[c]]
             work.S[a * m + c] = spread(work, HP, a, c) + R
-        history.S[k * M + work.active[a]] = work.S[a * m + a]
+            modest &= R == 0.0
+        R = history.R[line + work.active[a]]
+        S = spread(work, HP, a, a) + R
+        work.S[a * m + a] = S
+        modest &= S <= MODEST * R
+        history.S[k * M + work.active[a]] = S
+    return modest
 
 
 @inline

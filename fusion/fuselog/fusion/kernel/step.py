@@ -104,8 +104,9 @@ def correct(tables: Tables, history: History, work: Work, k: int, sensor: int) -
     if not has_vote(tables, history, work, k, sensor):
         return SKIPPED
     innovate(tables, history, work, k, sensor, m)
+    modest = False
     if tables.covariance:
-        weigh(tables, history, work, k, sensor, m)
+        modest = weigh(tables, history, work, k, sensor, m)
         if not cholesky(work.S, work.L, m):
             return BAD_COVARIANCE
         nis = mahalanobis(work, m)
@@ -114,7 +115,7 @@ def correct(tables: Tables, history: History, work: Work, k: int, sensor: int) -
             return GATED
     if not gain(tables, history, work, k, sensor, m):
         return BAD_COVARIANCE
-    update(tables, history, work, k, sensor, m)
+    update(tables, history, work, k, sensor, m, modest)
     return FUSED
 
 
