@@ -57,9 +57,14 @@ def write_signals(path: str | PathLike[str], signals: Sequence[Signal]) -> int:
             writer.add_channel(signal.topic, signal.schema_name, "ros2msg", definition(signal.schema_name))
             for signal in signals
         ]
-        messages = _by_arrival([_messages(signal, stream) for signal, stream in zip(signals, streams, strict=True)])
+        messages = encode(signals, streams)
         writer.write(messages)
     return len(messages)
+
+
+def encode(signals: Sequence[Signal], streams: Sequence[int]) -> Messages:
+    """All signals as messages in the order of their arrival, each with the number of its stream."""
+    return _by_arrival([_messages(signal, stream) for signal, stream in zip(signals, streams, strict=True)])
 
 
 def _messages(signal: Signal, stream: int) -> Messages:

@@ -12,7 +12,19 @@ from fuselog.schemas.errors import ConfigError, FuselogError
 
 OK, FAILED, USAGE, LOSSY, INTERRUPTED = 0, 1, 2, 3, 130
 # In the order of the help.
-COMMANDS = ("demo", "simulate", "check", "info", "reprocess", "play", "serve", "evaluate", "view", "warm_up")
+COMMANDS = (
+    "demo",
+    "simulate",
+    "check",
+    "info",
+    "reprocess",
+    "play",
+    "serve",
+    "evaluate",
+    "view",
+    "warm_up",
+    "articles",
+)
 
 
 def make_app() -> typer.Typer:
@@ -32,7 +44,7 @@ def make_app() -> typer.Typer:
 
 
 def main() -> None:
-    """Run the command line; exits 0 ok, 1 failed, 2 usage or config, 3 finished with data loss, 130 interrupted."""
+    """Run the command line; exits 0 ok, 1 failed, 2 usage or config, 3 data loss, 4 differs, 130 interrupted."""
     try:
         make_app()()
     except ConfigError as error:

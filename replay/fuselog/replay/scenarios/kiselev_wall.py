@@ -127,7 +127,7 @@ def deadbeat(robot: Robot, estimate: Floats) -> Floats:
 
 def one_sensor(robot: Robot, duration: float, noise: np.random.Generator) -> list[Signal]:
     """The signals of ``two_sensors`` but the gyro's."""
-    signals = _signals(robot, drive(robot, steps(duration, robot.dt), noise, constant_wheels))
+    signals = drive_signals(robot, drive(robot, steps(duration, robot.dt), noise, constant_wheels))
     return [signal for signal in signals if signal.topic != "/gyro/attitude"]
 
 
@@ -138,15 +138,16 @@ def two_sensors(robot: Robot, duration: float, noise: np.random.Generator) -> li
     from their stamps on; ``/wall/distance`` u (m, Reading, may be negative); ``/gyro/attitude`` beta (Imu);
     ``/onboard/estimate`` y, alpha (m, rad, Reading); ``/ground_truth`` (Odometry).
     """
-    return _signals(robot, drive(robot, steps(duration, robot.dt), noise, constant_wheels))
+    return drive_signals(robot, drive(robot, steps(duration, robot.dt), noise, constant_wheels))
 
 
 def controlled(robot: Robot, duration: float, noise: np.random.Generator) -> list[Signal]:
     """The signals of ``two_sensors``, with wheels commanded by ``deadbeat`` from the second step on."""
-    return _signals(robot, drive(robot, steps(duration, robot.dt), noise, deadbeat))
+    return drive_signals(robot, drive(robot, steps(duration, robot.dt), noise, deadbeat))
 
 
-def _signals(robot: Robot, driven: Drive) -> list[Signal]:
+def drive_signals(robot: Robot, driven: Drive) -> list[Signal]:
+    """One run as the signals of ``two_sensors``."""
     t_ns = stamps(np.arange(len(driven.pose)) * robot.dt)
     twist = twist_from_wheels(robot, driven.wheels)
     speeds = {"omega_left": driven.wheels[:, 0], "omega_right": driven.wheels[:, 1]}
