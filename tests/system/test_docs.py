@@ -122,7 +122,11 @@ def commands():
 @pytest.mark.parametrize("line", commands())
 def test_commands_exist_with_their_options(line):
     _, name, *arguments = shlex.split(line, comments=True)
-    COMMAND.commands[name].make_context(name, arguments)
+    command = COMMAND.commands[name]
+    while hasattr(command, "commands"):
+        name, *arguments = arguments
+        command = command.commands[name]
+    command.make_context(name, arguments)
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if "```python" in p.read_text()], ids=lambda p: p.name)

@@ -21,6 +21,7 @@ COMMANDS = (
     "play",
     "serve",
     "evaluate",
+    "tune",
     "view",
     "warm_up",
     "articles",
@@ -39,7 +40,10 @@ def make_app() -> typer.Typer:
     app.callback()(_root)
     for name in COMMANDS:
         command: Callable[..., Any] = getattr(importlib.import_module(f"fuselog.service.commands.{name}"), name)
-        app.command(name.replace("_", "-"))(command)
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name)
+        else:
+            app.command(name.replace("_", "-"))(command)
     return app
 
 

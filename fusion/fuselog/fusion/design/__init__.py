@@ -21,6 +21,7 @@ from fuselog.fusion.design.learn import (
     replay_innovations,
     three_cornered_hat,
 )
+from fuselog.fusion.design.learn_sensors import Innovations, sensor_corrections
 from fuselog.fusion.design.matrices import DesignError
 from fuselog.fusion.design.modes import (
     Mode,
@@ -50,6 +51,7 @@ __all__ = [
     "Corrected",
     "DesignError",
     "Discrete",
+    "Innovations",
     "Learned",
     "MissingRule",
     "Mode",
@@ -82,6 +84,7 @@ __all__ = [
     "prediction_error",
     "present_weights",
     "replay_innovations",
+    "sensor_corrections",
     "sequential_weights",
     "spectral_radius",
     "state_gain",

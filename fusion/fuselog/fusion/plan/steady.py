@@ -101,8 +101,8 @@ def settle_gains(
     rates = {s.rank: config.gain.rates[s.name] for s in sensors if s.role == Role.MEASURES}
     for index, (place, variant) in enumerate(variants(config, [])):
         try:
-            order = _round(rates, tables.period_ns)
-            steps = _Nominal(config, card, sensors, tables, kernel, variant).steps(order)
+            order = make_round(rates, tables.period_ns)
+            steps = Nominal(config, card, sensors, tables, kernel, variant).steps(order)
             kept = _closed(steps, list(card.states), variant.open_loop)
             inner = [_without(step, kept) for step in steps]
             states = [list(card.states)[i] for i in kept]
@@ -131,7 +131,7 @@ def check_frozen(
     """States of sd 0 that no process noise reaches: nothing would ever correct them."""
     if np.diag(P).all():
         return []
-    step = _Nominal(config, card, sensors, tables, kernel, config.gain).move(Fraction(1))
+    step = Nominal(config, card, sensors, tables, kernel, config.gain).move(Fraction(1))
     return [
         Problem(("initial", "sd", state), "0, and no process noise reaches it: nothing would ever correct it")
         for i, state in enumerate(card.states)
@@ -143,7 +143,7 @@ def _why(variant: GainSettings, error: DesignError) -> str:
     return f"{'no steady gain' if variant.mode == 'steady_state' else 'these weights cannot work'}: {error}"
 
 
-def _round(rates: dict[int, float], cycle_ns: int) -> Round:
+def make_round(rates: dict[int, float], cycle_ns: int) -> Round:
     """The samples of a period in the total order; in cycles, each sensor's last of a cycle."""
     periods = {rank: 1 / Fraction(rate).limit_denominator(1000) for rank, rate in rates.items()}
     cycle = Fraction(cycle_ns, 1_000_000_000)
@@ -159,7 +159,7 @@ def _round(rates: dict[int, float], cycle_ns: int) -> Round:
     return Round([t - b for t, b in zip(moments, before, strict=False)], moments, [rank for _, rank in votes], whole)
 
 
-class _Nominal:
+class Nominal:
     """The filter about one point: F, Q, H and R of its steps."""
 
     def __init__(

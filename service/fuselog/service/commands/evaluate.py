@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
+from fuselog.service.commands.truth_place import truth_fields, truth_place
 from fuselog.service.console import print_json
 
 
@@ -23,12 +24,10 @@ def evaluate(
     from fuselog.replay.results import read_results  # noqa: PLC0415  slow to import
     from fuselog.replay.truth import only_where, read_truth  # noqa: PLC0415  slow to import
 
-    path, _, topic = truth.rpartition(":")
-    if not path or not topic:
-        raise typer.BadParameter("expected LOG:TOPIC, such as drive.mcap:/ground_truth", param_hint="--truth")
+    path, topic = truth_place(truth)
     results = read_results(out)
     with open_log(path) as log:
-        true = read_truth(log, topic, fields=_fields(field or []), datum=results.datum)
+        true = read_truth(log, topic, fields=truth_fields(field or []), datum=results.datum)
         if where is not None:
             true = only_where(true, log, where)
     evaluation = compare(results, true).to_json()
@@ -36,14 +35,6 @@ def evaluate(
         print_json(evaluation)
     else:
         _print(evaluation)
-
-
-def _fields(given: list[str]) -> dict[str, str]:
-    pairs = [text.partition("=") for text in given]
-    bad = [state for state, _, path in pairs if not state or not path]
-    if bad:
-        raise typer.BadParameter(f"expected STATE=PATH, got {bad[0]!r}", param_hint="--field")
-    return {state: path for state, _, path in pairs}
 
 
 def _print(evaluation: dict[str, Any]) -> None:
