@@ -23,7 +23,7 @@ class Topic(NamedTuple):
     arrival_ns: Any = None  # (n,) log times; the stamps when None
     constants: Mapping[str, str] = {}  # more strings
     lengths: Mapping[str, int] = {}  # of sequences
-    stamp: str = "header.stamp"
+    stamp: str | None = "header.stamp"
 
     @property
     def stream(self) -> Stream:
@@ -39,11 +39,12 @@ class Topic(NamedTuple):
         """The payloads one after the other, and the size of each."""
         t_ns = np.asarray(self.t_ns, np.int64)
         columns = [_column(values, len(t_ns)) for values in self.fields.values()]
+        frame = {} if self.stamp is None else {self.stamp.replace("stamp", "frame_id"): self.frame}
         encoder = CdrEncoder(
             self.type,
             definition(self.type),
             columns=list(self.fields),
-            constants={self.stamp.replace("stamp", "frame_id"): self.frame, **self.constants},
+            constants={**frame, **self.constants},
             lengths=self.lengths,
             stamp=self.stamp,
         )

@@ -123,7 +123,7 @@ def test_what_is_no_configuration_has_one_place(text: str, expected: str) -> Non
         ("topics: /a", "7:5: sensors.wheel.topics: unknown key (did you mean topic?)"),
         (
             "kind: lidar",
-            "7:5: sensors.wheel.kind: input should be 'state', 'polar', 'beacon_range', 'magnetometer' or 'input'",
+            "7:5: sensors.wheel.kind: input should be 'state', 'polar', 'beacon_range', 'magnetometer', 'pressure', ",
         ),
         ("fields: 3", "7:5: sensors.wheel.fields: input should be a valid dictionary, got 3"),
     ],

@@ -34,6 +34,8 @@ _SECTIONS = {  # first cell of a table's head, or the heading above it: whose ke
     "lag": settings.LagSettings,
     "One sensor": settings.SensorSettings,
     "mount": settings.MountSettings,
+    "states": settings.StatesSettings,
+    "field": settings.FieldSettings,
     "output": settings.OutputSettings,
     "zenoh": settings.ZenohSettings,
     "http": settings.HttpSettings,

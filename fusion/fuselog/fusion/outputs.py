@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision
-from fuselog.fusion.kernel.rotations import quaternions_from_rpy
 from fuselog.fusion.kernel.tables import NEVER
+from fuselog.fusion.odometry import Odometry
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.track import Track, join_tracks
 from fuselog.schemas import CdrEncoder, Messages, definition
@@ -18,9 +18,6 @@ ESTIMATE, ODOMETRY, DECISION = (
     "nav_msgs/msg/Odometry",
     "fuselog_msgs/msg/Decision",
 )
-_POSE = ("x", "y", "z", "roll", "pitch", "yaw")
-_TWIST = ("vx", "vy", "vz", "roll_rate", "pitch_rate", "yaw_rate")
-_NAMES_OF = {"vx": ("vx", "v")}  # a planar model's speed is the forward velocity
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +54,7 @@ class Outputs:
             self.topics.append(Output(f"{base}/odometry", ODOMETRY))
         self._estimate = _estimate_encoder(plan)
         self._odometry = _odometry_encoder(plan) if plan.card.has_pose else None
-        self._odometry_columns = _odometry_columns(plan)
+        self._odometry_values = Odometry(plan.states, rotates=plan.card.rotates).values
         self._decisions = [_decision_encoder(s.name, s.dof, plan.config.output.frame) for s in plan.sensors]
 
     def encode(self, track: Track) -> Messages:
@@ -86,16 +83,17 @@ class Outputs:
         return encoded.data[: int(encoded.length[encoded.stream == 0].sum())]
 
     def _estimate_jobs(self, due: Track, rows: NDArray[np.int64]) -> list["_Job"]:
-        table = np.concatenate([due.x, due.P, np.zeros((len(due), 1))], axis=1)
-        jobs = [_Job(0, rows, self._estimate, due.t_ns, table[:, :-1], due.t_ns)]
+        table = np.concatenate([due.x, due.P], axis=1)
+        jobs = [_Job(0, rows, self._estimate, due.t_ns, table, due.t_ns)]
         if self._odometry is not None:
-            values = _odometry_values(self._odometry_columns, table)
+            values = self._odometry_values(due.x, due.P)
             jobs.append(_Job(2, rows, self._odometry, due.t_ns, values, due.t_ns))
         return jobs
 
     def _due(self, track: Track) -> tuple[Track, NDArray[np.int64]]:
         """The estimates to publish, and the row of the track at which each is published."""
-        moved = (track.decision <= Decision.GATED) & (track.t_ns != NEVER)
+        tried = (track.decision == Decision.GATED) & (track.dof > 0)  # not refused before the filter saw it
+        moved = ((track.decision == Decision.FUSED) | tried) & (track.t_ns != NEVER)
         rows = np.flatnonzero(moved & np.isfinite(track.x).all(axis=1))
         rate = self._plan.config.output.rate
         if rate is None or len(rows) == 0:
@@ -186,34 +184,3 @@ def _decision_values(track: Track, rows: NDArray[np.int64], dof: int) -> Floats:
     head = [track.seq[rows] & 0xFFFFFFFF, track.decision[rows], track.nis[rows], track.dof[rows]]
     tables = [track.innovation[rows, :dof], track.innovation_variance[rows, :dof], track.absorbed[rows, :dof]]
     return np.concatenate([np.stack(head, axis=1).astype(np.float64), *tables], axis=1)
-
-
-def _odometry_values(columns: NDArray[np.int64], table: Floats) -> Floats:
-    """Pose, its covariance, twist, its covariance (n, 7 + 36 + 6 + 36) from rows of x, P and a zero."""
-    values = table[:, columns]
-    rpy = np.ascontiguousarray(values[:, 4:7])
-    values[:, 3:7] = quaternions_from_rpy(rpy)
-    return values
-
-
-def _odometry_columns(plan: Plan) -> NDArray[np.int64]:
-    """Where an Odometry's numbers stand in a row of x, P and a zero; roll, pitch, yaw after one for the quaternion."""
-    n = len(plan.states)
-    nothing = n + n * (n + 1) // 2
-    columns: list[int] = []
-    for names in (_POSE, _TWIST):
-        index = [_state_of(plan.states, name) for name in names]
-        values = [nothing if i is None else i for i in index]
-        columns += [*values[:3], nothing, *values[3:]] if names is _POSE else values
-        columns += [nothing if i is None or j is None else n + _packed(n, i, j) for i in index for j in index]
-    return np.array(columns)
-
-
-def _state_of(states: tuple[str, ...], name: str) -> int | None:
-    return next((states.index(n) for n in _NAMES_OF.get(name, (name,)) if n in states), None)
-
-
-def _packed(n: int, i: int, j: int) -> int:
-    """Where entry (i, j) lies in an upper triangle, row by row."""
-    low, high = min(i, j), max(i, j)
-    return low * n - low * (low - 1) // 2 + high - low

@@ -3,9 +3,11 @@
 from fuselog.fusion.config.settings import (
     AgeSettings,
     Config,
+    FieldSettings,
     GainSettings,
     RangeSettings,
     SensorSettings,
+    WalkSettings,
     WhenSettings,
     ZenohSettings,
 )
@@ -22,11 +24,13 @@ from fuselog.fusion.config.source import (
 __all__ = [
     "AgeSettings",
     "Config",
+    "FieldSettings",
     "GainSettings",
     "Problem",
     "RangeSettings",
     "SensorSettings",
     "Source",
+    "WalkSettings",
     "WhenSettings",
     "ZenohSettings",
     "did_you_mean",

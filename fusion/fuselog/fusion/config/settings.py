@@ -160,15 +160,44 @@ class MountSettings(Settings):
     rpy: Vector = Field((0.0, 0.0, 0.0), description="rad")
 
 
+class WalkSettings(Settings):
+    """A number that is estimated along with the model's states: a random walk."""
+
+    sd: NotNegative = Field(description="of its value at the start")
+    drift: NotNegative = Field(0.0, description="sd that it gains in one second; it grows with the root of time")
+
+
+class StatesSettings(Settings):
+    """What of a sensor is estimated: it reads (1 + scale) h + bias, at its lever arm."""
+
+    bias: dict[str, WalkSettings] = Field(default_factory=dict, description="by number, in its unit")
+    scale: dict[str, WalkSettings] = Field(default_factory=dict, description="by number; 0.01 is 1 % too much")
+    lever: WalkSettings | None = Field(None, description="m, each axis, about mount xyz")
+
+
+class FieldSettings(Settings):
+    """How strong a magnetic field must be to be the Earth's, and what to do where it is not."""
+
+    strength: Positive | Literal["first_second"] = Field(
+        "first_second", description="in the messages' unit; by default what the first second of samples has on average"
+    )
+    tolerance: Positive = Field(0.1, description="greatest share that a field may be stronger or weaker")
+    disturbed: Annotated[float, Field(ge=1, allow_inf_nan=False)] | Literal["refuse"] = Field(
+        "refuse", description="refuse counts the sample as gated; a number is a factor on its sd"
+    )
+
+
 class SensorSettings(Settings):
     """One stream of samples and what of it is fused."""
 
     topic: str = Field(min_length=1)
     type: str | None = Field(None, description="message type; by default as the log or the publisher says")
-    kind: Literal["state", "polar", "beacon_range", "magnetometer", "input"] = "state"
+    kind: Literal[
+        "state", "polar", "beacon_range", "magnetometer", "pressure", "constant", "zero_velocity", "input"
+    ] = "state"
     fuse: list[str] = Field(default_factory=list, description="names of states, or of what the kind measures")
     fields: dict[str, str] = Field(default_factory=dict, description="name: path in the message, for other types")
-    value: str | None = Field(None, description="beacon_range: path of the range")
+    value: str | None = Field(None, description="beacon_range, pressure: path of the range or the pressure")
     beacon: str | None = Field(None, description="beacon_range: path of the beacon's position (x, y, z)")
     variance: dict[str, str] = Field(default_factory=dict, description="name: path of its variance in the message")
     covariance: str | None = Field(None, description="path of a square covariance of the numbers, in their order")
@@ -192,6 +221,12 @@ class SensorSettings(Settings):
     datum: Literal["first_fix"] | Vector = Field(
         "first_fix", description="NavSatFix: latitude, longitude (deg), altitude (m) of the origin"
     )
+    reference: Positive | Literal["first_sample"] = Field("first_sample", description="pressure: Pa where z is 0")
+    field: FieldSettings | None = Field(None, description="magnetometer: check of the field's strength")
+    when: str | None = Field(
+        None, description="constant, zero_velocity: path of a number; messages where it is 0 are no samples"
+    )
+    states: StatesSettings = Field(StatesSettings.model_validate({}), description="what of the sensor is estimated")
 
 
 class OutputSettings(Settings):

@@ -138,13 +138,18 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def _problem(details: ErrorDetails) -> Problem:
-    place = tuple(key for key in details["loc"] if key not in ("MountSettings", "literal['from_tf']"))
+    place = tuple(key for key in details["loc"] if not _is_branch(key))
     if details["type"] == "extra_forbidden":
         return Problem(place, f"unknown key{did_you_mean(str(place[-1]), _keys(place[:-1]))}")
     if details["type"] == "missing":
         return Problem(place, "is required")
     reason = details["msg"].removeprefix("Value error, ")
     return Problem(place, f"{reason[0].lower()}{reason[1:]}, got {details['input']!r}")
+
+
+def _is_branch(key: str | int) -> bool:
+    """Whether a part of a place only says which type of several was tried."""
+    return isinstance(key, str) and (key in ("MountSettings", "constrained-float") or key.startswith("literal["))
 
 
 def _keys(place: Place) -> Sequence[str]:

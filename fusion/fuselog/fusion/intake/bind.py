@@ -11,10 +11,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fuselog.fusion.atmosphere import height, height_slope
 from fuselog.fusion.events import Decision, Events
 from fuselog.fusion.geodesy import enu
 from fuselog.fusion.intake.mounts import Mount
-from fuselog.fusion.kernel.rotations import Quaternion, quaternion_product, rpy_from_quaternion
+from fuselog.fusion.kernel.rotations import (
+    Quaternion,
+    put_matrix,
+    quaternion_from_rpy,
+    quaternion_product,
+    rpy_from_quaternion,
+)
 from fuselog.fusion.kernel.tables import SAMPLE_WIDTH, Role
 from fuselog.fusion.plan import SensorPlan
 from fuselog.fusion.plan.readings import BEACON, FIELD, Part, Shape
@@ -25,6 +32,7 @@ Ints = NDArray[np.int64]
 Row = Any  # a row of Floats, inside kernels, where indexing gives a number
 
 VECTOR, ORIENTATION, GEODETIC = int(Shape.VECTOR), int(Shape.ORIENTATION), int(Shape.GEODETIC)
+PRESSURE, ZERO = int(Shape.PRESSURE), int(Shape.ZERO)
 GOOD, NAN, CLOCK, COVARIANCE = (
     int(d) for d in (Decision.FUSED, Decision.INVALID_NAN, Decision.INVALID_CLOCK, Decision.INVALID_COVARIANCE)
 )
@@ -40,6 +48,8 @@ class Recipe(NamedTuple):
     column: Ints  # (parts,) where the part's numbers begin
     slot: Ints  # (parts,) where its quantities begin
     size: Ints  # (parts,) how many quantities
+    fixed: Ints  # (parts,) whether the covariance of an attitude is to be turned from the world's axes to the body's
+    curved: bool  # whether there is a covariance to convert even where the sensor's axes are the body's
     covariance: Ints  # (slots, slots) column of each entry
     pick: Any  # (m,) slot of each fused number
     entry: Ints  # (entries, 2) the places (i, j <= i) of R that can differ from 0
@@ -59,14 +69,17 @@ class Binder:
     fields: tuple[str, ...]
     recipe: Recipe
     needs_datum: bool
+    needs_reference: bool  # of a pressure
 
-    def bind(self, values: Floats, events: Events, rows: Ints, mount: Mount, datum: Floats) -> None:
+    def bind(
+        self, values: Floats, events: Events, rows: Ints, mount: Mount, datum: Floats, reference: float = math.nan
+    ) -> None:
         """Fill z and R of these blank rows of the events, whose stamps and faults are set; the others' stay untouched.
 
         A row that cannot be used gets its fault.
         """
         turn = (mount.turned, mount.matrix, mount.quaternion)
-        bind_rows(self.recipe, values, rows, events.t_ns, events.fault, *turn, datum, events.z, events.R)
+        bind_rows(self.recipe, values, rows, events.t_ns, events.fault, *turn, datum, reference, events.z, events.R)
 
 
 def make_binder(sensor: SensorPlan, parts: Sequence[Part]) -> Binder:
@@ -92,6 +105,7 @@ def make_binder(sensor: SensorPlan, parts: Sequence[Part]) -> Binder:
         scale, offset = np.zeros(1), np.array([math.pi / 2 - settings.declination])
     status = [part.status for part in parts if part.status is not None]
     fields += status
+    fixed = [sensor.turn >= 0 and part.shape == Shape.ORIENTATION and _is_fixed(part) for part in parts]
     pick = [names.index(name) for name in sensor.names]
     entry = [(i, j) for i, a in enumerate(pick) for j, b in enumerate(pick[: i + 1]) if i == j or covariance[a, b] >= 0]
     recipe = Recipe(
@@ -99,6 +113,8 @@ def make_binder(sensor: SensorPlan, parts: Sequence[Part]) -> Binder:
         column=np.array(columns, np.int64),
         slot=np.array(slots, np.int64),
         size=np.array([len(part.names) for part in parts], np.int64),
+        fixed=np.array(fixed, np.int64),
+        curved=any(fixed) or any(part.shape == Shape.PRESSURE for part in parts),
         covariance=covariance,
         pick=np.array(pick, np.int64),
         entry=np.array(entry, np.int64),
@@ -110,7 +126,12 @@ def make_binder(sensor: SensorPlan, parts: Sequence[Part]) -> Binder:
         offset=offset,
         inflate=settings.noise_scale**2,
     )
-    return Binder(tuple(fields), recipe, any(part.shape == Shape.GEODETIC for part in parts))
+    shapes = {part.shape for part in parts}
+    return Binder(tuple(fields), recipe, Shape.GEODETIC in shapes, Shape.PRESSURE in shapes)
+
+
+def _is_fixed(part: Part) -> bool:
+    return part.covariance is not None and part.covariance.fixed
 
 
 def without_noise(sensor: SensorPlan, parts: Sequence[Part]) -> list[str]:
@@ -144,6 +165,7 @@ def bind_rows(
     matrix: Floats,
     quaternion: Floats,
     datum: Floats,
+    reference: float,
     z: Row,
     R: Row,
 ) -> None:
@@ -152,6 +174,8 @@ def bind_rows(
     full: Row = np.zeros(slots)
     C: Row = np.zeros((slots, slots))
     half: Row = np.zeros((slots, slots))
+    T: Row = np.zeros((3, 3))
+    converted = turned or recipe.curved
     L = np.zeros(m * m)
     undo = (-quaternion[0], -quaternion[1], -quaternion[2], quaternion[3])
     for n in range(len(rows)):
@@ -159,16 +183,16 @@ def bind_rows(
         if fault[row] != GOOD:
             continue
         for part in range(len(recipe.shape)):
-            read_part(recipe, values[n], part, matrix, undo, turned, datum, full)
-        if turned:
+            read_part(recipe, values[n], part, matrix, undo, turned, datum, reference, full)
+        if converted:
             gather(recipe, values[n], C)
-            turn(recipe, C, half, matrix)
+            convert(recipe, values[n], full, C, half, matrix, turned, T)
         for i in range(m):
             z[row, i] = full[recipe.pick[i]] * recipe.scale[i] + recipe.offset[i]
         for place in range(len(recipe.entry)):
             i, j = recipe.entry[place, 0], recipe.entry[place, 1]
             a, b = recipe.pick[i], recipe.pick[j]
-            if turned:
+            if converted:
                 entry = 0.5 * (C[a, b] + C[b, a])
             else:
                 entry = 0.5 * (stated(recipe, values[n], a, b) + stated(recipe, values[n], b, a))
@@ -191,6 +215,7 @@ def read_part(
     undo: Quaternion,
     turned: bool,
     datum: Row,
+    reference: float,
     full: Row,
 ) -> None:
     """The quantities of one part, in body axes."""
@@ -204,6 +229,11 @@ def read_part(
         full[s], full[s + 1], full[s + 2] = rpy_from_quaternion(x, y, z, w)
     elif recipe.shape[part] == GEODETIC:
         full[s], full[s + 1], full[s + 2] = enu(datum, row[c], row[c + 1], row[c + 2])
+    elif recipe.shape[part] == PRESSURE:
+        full[s] = height(row[c]) - height(reference)
+    elif recipe.shape[part] == ZERO:
+        for i in range(recipe.size[part]):
+            full[s + i] = 0.0
     elif recipe.shape[part] == VECTOR and turned:
         for i in range(3):
             full[s + i] = matrix[i, 0] * row[c] + matrix[i, 1] * row[c + 1] + matrix[i, 2] * row[c + 2]
@@ -228,24 +258,49 @@ def stated(recipe: Recipe, row: Row, i: int, j: int) -> float:
 
 
 @inline
-def turn(recipe: Recipe, C: Row, half: Row, matrix: Row) -> None:
-    """C = T C T', where T turns the vectors and attitudes from the sensor's axes to the body's."""
-    half[:] = C
+def convert(recipe: Recipe, row: Row, full: Row, C: Row, half: Row, matrix: Row, turned: bool, T: Row) -> None:
+    """C = J C J', where J makes the message's errors those of the quantities, part by part: rows, then columns."""
     for part in range(len(recipe.shape)):
         s = recipe.slot[part]
-        if recipe.shape[part] in (VECTOR, ORIENTATION):
-            for i in range(3):
-                for j in range(len(C)):
-                    half[s + i, j] = matrix[i, 0] * C[s, j] + matrix[i, 1] * C[s + 1, j] + matrix[i, 2] * C[s + 2, j]
-    C[:] = half
+        size = put_change(recipe, row, full, part, matrix, turned, T)
+        for j in range(len(C) if size else 0):
+            for i in range(size):
+                half[s + i, j] = 0.0
+                for k in range(size):
+                    half[s + i, j] += T[i, k] * C[s + k, j]
+            for i in range(size):
+                C[s + i, j] = half[s + i, j]
     for part in range(len(recipe.shape)):
         s = recipe.slot[part]
-        if recipe.shape[part] in (VECTOR, ORIENTATION):
-            for i in range(len(C)):
-                for j in range(3):
-                    C[i, s + j] = (
-                        half[i, s] * matrix[j, 0] + half[i, s + 1] * matrix[j, 1] + half[i, s + 2] * matrix[j, 2]
-                    )
+        size = put_change(recipe, row, full, part, matrix, turned, T)
+        for i in range(len(C) if size else 0):
+            for j in range(size):
+                half[i, s + j] = 0.0
+                for k in range(size):
+                    half[i, s + j] += C[i, s + k] * T[j, k]
+            for j in range(size):
+                C[i, s + j] = half[i, s + j]
+
+
+@inline
+def put_change(recipe: Recipe, row: Row, full: Row, part: int, matrix: Row, turned: bool, T: Row) -> int:
+    """How the errors of one part's quantities follow from the message's, into T; returns its order, 0 for the same.
+
+    Vectors and attitudes turn with the mount, an attitude's small turns about the world's axes to those about the
+    body's.
+    """
+    s = recipe.slot[part]
+    if recipe.fixed[part]:
+        x, y, z, w = quaternion_from_rpy(full[s], full[s + 1], full[s + 2])
+        put_matrix((-x, -y, -z, w), T)
+        return 3
+    if recipe.shape[part] == PRESSURE:
+        T[0, 0] = height_slope(row[recipe.column[part]])
+        return 1
+    if turned and (recipe.shape[part] == VECTOR or recipe.shape[part] == ORIENTATION):
+        T[:, :] = matrix
+        return 3
+    return 0
 
 
 @inline

@@ -1,8 +1,9 @@
 """Raw messages in, events out: every sensor decoded and bound, in the order of arrival."""
 
-from collections.abc import Iterable, Iterator, Mapping
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from fuselog.fusion.config import Problem, did_you_mean
 from fuselog.fusion.events import Decision, Events, blank_events, join
 from fuselog.fusion.intake.bind import Binder, make_binder, without_noise
+from fuselog.fusion.intake.learned import FieldCheck
 from fuselog.fusion.intake.mounts import IDENTITY, Mount, StaticTransforms, check_transforms, configured_mount
 from fuselog.fusion.intake.stream import Stream, own_messages, same_topic
 from fuselog.fusion.plan import Plan, SensorPlan
@@ -31,6 +33,7 @@ class _Tap:
     codec: Codec
     binder: Binder
     stamped: bool  # whether the messages carry a stamp; the time of arrival stands in for one
+    when: Codec | None = None  # of the number that is 0 in messages that are no samples
 
 
 @dataclass(slots=True)
@@ -42,6 +45,8 @@ class _Feed:
     taps: dict[int, _Tap] = field(default_factory=dict[int, _Tap])
     held: list[Messages] = field(default_factory=list[Messages])
     taken: int = 0  # messages that became events
+    reference: float = math.nan  # Pa, once it is known
+    field_check: FieldCheck | None = None
 
     @property
     def pending(self) -> int:
@@ -64,7 +69,7 @@ class Intake:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._feeds = [_Feed(sensor, configured_mount(sensor.settings)) for sensor in plan.sensors]
+        self._feeds = [_feed(sensor) for sensor in plan.sensors]
         self._transforms = StaticTransforms()
         self._tf_streams: dict[int, Stream] = {}
         self._datum = _configured_datum(plan)
@@ -123,6 +128,7 @@ class Intake:
     def take(self, messages: Messages) -> Taken:
         """The events of a batch."""
         self._learn_datum(messages)
+        self._learn_references(messages)
         levers: dict[int, Floats] = {}
         parts: list[Events] = []
         for index in self._between_transforms(messages):
@@ -157,7 +163,7 @@ class Intake:
 
     def _ready(self, feed: _Feed, messages: Messages, index: Ints) -> list[tuple[Messages, Ints, Ints]]:
         """What a sensor can give now: messages, which of them, and their places in the order of arrival."""
-        mine = index[_carries(messages.stream[index], feed.taps)]
+        mine = _samples(feed, messages, index[_carries(messages.stream[index], feed.taps)])
         if feed.mount is None:
             feed.held += [own_messages(messages, mine)] if len(mine) else []
             return []
@@ -179,7 +185,9 @@ class Intake:
             columns = tap.codec.decode(messages.data, messages.start[chosen], messages.length[chosen])
             events.t_ns[at] = columns.t_ns if tap.stamped else messages.log_time[chosen]
             events.fault[at] = _FROM_FAULT[columns.fault]
-            tap.binder.bind(columns.values, events, at, feed.mount or IDENTITY, self._datum)
+            tap.binder.bind(columns.values, events, at, feed.mount or IDENTITY, self._datum, feed.reference)
+        if feed.field_check is not None:
+            feed.field_check.mark(events, rows)
 
     def _tap(self, sensor: SensorPlan, stream: Stream) -> _Tap:
         """Decoder and binder of a stream for a sensor; every mismatch is a ``ConfigError`` at the sensor."""
@@ -199,7 +207,8 @@ class Intake:
         binder = make_binder(sensor, parts)
         try:
             stamp = settings.stamp or stream.stamp
-            return _Tap(stream, stream.codec(binder.fields, stamp), binder, stamp is not None)
+            when = None if settings.when is None else stream.codec([settings.when])
+            return _Tap(stream, stream.codec(binder.fields, stamp), binder, stamp is not None, when)
         except SchemaError as error:
             raise refuse("topic", str(error)) from error
 
@@ -219,15 +228,55 @@ class Intake:
             return
         first = len(messages)
         for number, tap in ((n, t) for feed in self._feeds for n, t in feed.taps.items() if t.binder.needs_datum):
-            index = np.flatnonzero(messages.stream == number)
             part = next(part for part in PARTS[tap.stream.schema_name] if part.shape == Shape.GEODETIC)
             fields = [*part.fields, *([part.status] if part.status is not None else [])]
-            fixes = tap.stream.codec(fields).decode(messages.data, messages.start[index], messages.length[index])
-            usable = np.isfinite(fixes.values).all(axis=1) & (fixes.values[:, 3:] >= 0).all(axis=1)
-            good = np.flatnonzero(usable & (fixes.fault == Fault.NONE))
-            if len(good) and index[good[0]] < first:
-                first = int(index[good[0]])
-                self._datum = fixes.values[good[0], :3].copy()
+            at, values = _first(tap.stream, fields, messages, number, lambda v: (v[:, 3:] >= 0).all(axis=1))
+            if at < first:
+                first, self._datum = at, values[:3]
+
+    def _learn_references(self, messages: Messages) -> None:
+        """The first usable pressure of each barometer is where its height is 0, when the configuration gives none."""
+        for feed in self._feeds:
+            first = len(messages)
+            for number, tap in feed.taps.items() if math.isnan(feed.reference) else ():
+                if tap.binder.needs_reference:
+                    path = tap.binder.fields[:1]
+                    at, values = _first(tap.stream, path, messages, number, lambda v: (v > 0).all(axis=1))
+                    if at < first:
+                        first, feed.reference = at, float(values[0])
+
+
+def _feed(sensor: SensorPlan) -> _Feed:
+    settings = sensor.settings
+    return _Feed(
+        sensor,
+        configured_mount(settings),
+        reference=math.nan if settings.reference == "first_sample" else settings.reference,
+        field_check=None if settings.field is None else FieldCheck(settings.field),
+    )
+
+
+def _first(
+    stream: Stream, fields: Sequence[str], messages: Messages, number: int, usable: Callable[[Floats], Any]
+) -> tuple[int, Floats]:
+    """The first message of a stream whose fields are finite and usable, and their values; else (how many, none)."""
+    index = np.flatnonzero(messages.stream == number)
+    columns = stream.codec(fields).decode(messages.data, messages.start[index], messages.length[index])
+    good = np.isfinite(columns.values).all(axis=1) & usable(columns.values) & (columns.fault == Fault.NONE)
+    found = np.flatnonzero(good)[:1]
+    return (int(index[found[0]]), columns.values[found[0]].copy()) if len(found) else (len(messages), np.empty(0))
+
+
+def _samples(feed: _Feed, messages: Messages, index: Ints) -> Ints:
+    """Those of a sensor's messages that are samples: not the ones whose ``when`` is 0."""
+    kept = np.ones(len(index), bool)
+    for number, tap in feed.taps.items():
+        if tap.when is not None:
+            mine = np.flatnonzero(messages.stream[index] == number)
+            at = index[mine]
+            columns = tap.when.decode(messages.data, messages.start[at], messages.length[at])
+            kept[mine] = (columns.values[:, 0] != 0.0) | (columns.fault != Fault.NONE)
+    return index[kept]
 
 
 def _carries(stream: NDArray[np.int32], numbers: Iterable[int]) -> NDArray[np.bool_]:

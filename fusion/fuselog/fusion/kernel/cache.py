@@ -77,10 +77,11 @@ def model_card(declared: Declared) -> ModelCard:
     path = cache_folder() / _key(declared) / "card.json"
     if path.is_file():
         return ModelCard(**json.loads(path.read_text()))
-    from fuselog.fusion.models.quantities import quantities  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
+    from fuselog.fusion.models.quantities import measurable  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
 
     model = declared.declare()
-    pose = model.rotation is None and all(state in model.states for state in ("x", "y", "yaw"))
+    place = ("x", "y", "yaw") if model.rotation is None else ("x", "y", "z")
+    pose = all(state in model.states for state in place)
     card = ModelCard(
         name=model.name,
         states=dict(model.states),
@@ -88,7 +89,7 @@ def model_card(declared: Declared) -> ModelCard:
         noise=dict(model.noise),
         rest={name: model.rest.get(name, 0.0) for name in model.inputs},
         parameters=dict(model.parameters),
-        quantities=list(quantities(model.body)),
+        quantities=list(measurable(model)),
         has_pose=pose,
         rotates=model.rotation is not None,
     )
@@ -101,10 +102,10 @@ def kernel_module(declared: Declared, measured: Sequence[str]) -> ModuleType:
     path = cache_folder() / _key(declared, *measured) / f"{declared.function}.py"
     if not path.is_file():
         from fuselog.fusion.kernel.codegen import generate  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
-        from fuselog.fusion.models.quantities import quantities  # noqa: PLC0415  the same
+        from fuselog.fusion.models.quantities import measurable  # noqa: PLC0415  the same
 
         model = declared.declare()
-        available = quantities(model.body)
+        available = measurable(model)
         generated = generate(model, {quantity: available[quantity] for quantity in measured})
         _store(path, _HEAD.format(name=model.name) + _decorate(generated) + _filter_text())
     return _load(path)
@@ -128,8 +129,9 @@ def _filter_text() -> str:
 def _key(declared: Declared, *measured: str) -> str:
     digest = hashlib.sha256()
     texts = [path.read_text() for folder in _SOURCES for path in sorted(folder.glob("*.py"))]
+    added = [repr(sensor) for sensor in declared.sensors]
     versions = [importlib.metadata.version(package) for package in ("numba", "llvmlite", "numpy")]
-    for text in (*texts, *versions, platform.python_version(), declared.text, declared.function, *measured):
+    for text in (*texts, *versions, platform.python_version(), declared.text, declared.function, *added, *measured):
         digest.update(text.encode() + b"\0")
     return f"{declared.function}-{digest.hexdigest()[:20]}"
 

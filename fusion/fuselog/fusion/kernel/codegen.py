@@ -9,6 +9,7 @@ subexpressions shared and zeros left out.
 # pyright: reportUnknownParameterType=false, reportArgumentType=false, reportMissingTypeArgument=false
 # pyright: reportUnknownLambdaType=false, reportConstantRedefinition=false, reportReturnType=false
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -39,6 +40,9 @@ class _Printer(PythonCodePrinter):
         arguments = ", ".join(self._print(argument) for argument in expr.args)
         return f"{type(expr).__name__.lower()}({arguments})"
 
+    def _print_Symbol(self, expr: sp.Symbol) -> str:  # noqa: N802  the same
+        return _word(expr.name)
+
     _print_sinc = _print_dsinc = _print_sin = _print_cos = _print_tan = _print_asin = _print_atan2 = _print_Function
 
     def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:  # noqa: N802, ARG002  SymPy's protocol
@@ -51,12 +55,17 @@ class _Printer(PythonCodePrinter):
         return f"({power})" if twice > 0 else f"(1.0 / ({power}))"
 
 
+def _word(name: str) -> str:
+    """A name as Python takes it: what is no letter, digit or underscore by its code."""
+    return re.sub(r"\W", lambda match: f"_{ord(match[0]):x}_", name)
+
+
 def generate(model: Model, measured: Mapping[str, Expr]) -> str:
     """The text of constants, ``predict``, ``linearise``, ``inject``, ``observe`` for a model and what is measured."""
     n, stored = len(model.states), len(_stored(model))
     width = max([1, *(len(_dependence(model, expression)) for expression in measured.values())])
     head = [
-        f"N = {n}  # {' '.join(model.names)}",
+        f"N = {n}  # {' '.join(map(_shown, model.names))}",
         f"LD = {_padded(n)}  # numbers from one row of P to the next",
         f"X = {_padded(stored)}  # numbers of x as it is kept",
         f"U = {len(model.inputs)}  # {' '.join(model.inputs) or 'no inputs'}",
@@ -67,6 +76,10 @@ def generate(model: Model, measured: Mapping[str, Expr]) -> str:
     texts = _texts(model)
     parts = [_predict(model, texts), _move(model, texts), _linearise(texts), _inject(model), _observe(model, measured)]
     return "\n".join([*head, *(line for part in parts for line in ("", "", *part)), ""])
+
+
+def _shown(name: str) -> str:
+    return name if name.isprintable() else _word(name)
 
 
 def _padded(n: int) -> int:
@@ -94,12 +107,16 @@ def _product_of(p: Sequence[Expr], q: Sequence[Expr]) -> list[Expr]:
 
 
 def _slopes(model: Model, expression: Expr) -> dict[str, Expr]:
-    """The derivative with respect to each state; to the states of the rotation, by a small turn d: q Exp(d)."""
+    """The derivative with respect to each state; to the states of the rotation, by a small turn d: q Exp(d).
+
+    Where an expression names roll, pitch or yaw of a rotation itself, it stands for the turn about that body axis.
+    """
     found = {name: sp.diff(expression, symbol(name)) for name in _plain(model)}
     for axis, name in enumerate(ROTATION if model.rotation else ()):
         turn = [sp.Rational(1, 2) if i == axis else sp.Integer(0) for i in range(3)]
         change = _product_of(QUATERNION, [*turn, sp.Integer(0)])
-        found[name] = sum((sp.diff(expression, q) * d for q, d in zip(QUATERNION, change, strict=True)), sp.Integer(0))
+        by_turn = (sp.diff(expression, q) * d for q, d in zip(QUATERNION, change, strict=True))
+        found[name] = sum(by_turn, sp.diff(expression, symbol(name)))
     return {name: found[name] for name in model.names if found[name] != 0}
 
 
@@ -169,10 +186,10 @@ def _texts(model: Model) -> _Texts:
     moved = dict(zip(motion.moved, results, strict=False))
     jacobian, noise = results[len(moved) : len(moved) + len(off)], results[len(moved) + len(off) :]
     head = [
-        *(f"    x_{name} = s[a + {i}]" for i, name in enumerate(map(str, _stored(model)))),
+        *(f"    {_word(f'x_{name}')} = s[a + {i}]" for i, name in enumerate(map(str, _stored(model)))),
         *(f"    u_{name} = s[b + INPUT + {i}]" for i, name in enumerate(model.inputs)),
         *(f"    U_{name} = s[b + INPUT + U + {i}]" for i, name in enumerate(model.inputs)),
-        *(f"    q_{name} = q[{i}]" for i, name in enumerate(model.noise)),
+        *(f"    {_word(f'q_{name}')} = q[{i}]" for i, name in enumerate(model.noise)),
         *(f"    p_{name} = q[{len(model.noise) + i}]" for i, name in enumerate(model.parameters)),
         *(f"    {name} = {_text(value)}" for name, value in shared),
     ]
@@ -299,7 +316,7 @@ def _observe(model: Model, measured: Mapping[str, Expr]) -> list[str]:
         used = {str(s) for part in (expression, *slopes.values()) for s in part.free_symbols}
         lines += [
             f"    if row == {number}:",
-            *(f"        x_{name} = s[a + {i}]" for i, name in enumerate(map(str, _stored(model))) if name in used),
+            *(f"        {_word(f'x_{n}')} = s[a + {i}]" for i, n in enumerate(map(str, _stored(model))) if n in used),
             *(f"        u_{name} = s[a + INPUT + {i}]" for i, name in enumerate(model.inputs) if name in used),
             *(f"        p_{n} = q[{len(model.noise) + i}]" for i, n in enumerate(model.parameters) if n in used),
             *(f"        {s} = par[p + {i}]" for i, s in enumerate(SENSOR) if str(s) in used),

@@ -6,10 +6,11 @@ import importlib.util
 import linecache
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from fuselog.fusion.kernel.sensor_states import SensorStates
 from fuselog.schemas.errors import FuselogError
 
 if TYPE_CHECKING:
@@ -40,15 +41,20 @@ class ModelError(FuselogError):
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """A function without arguments that returns a ``Model``."""
+    """A function without arguments that returns a ``Model``, and the states that sensors add to it."""
 
     function: str
     module: str | None  # that has it, or None for a file
     file: Path | None  # where its text is; None for fuselog's own
+    sensors: tuple[SensorStates, ...] = ()
+
+    def with_sensors(self, sensors: tuple[SensorStates, ...]) -> "Declared":
+        """The same model with the states of these sensors."""
+        return replace(self, sensors=sensors)
 
     @property
     def text(self) -> str:
-        """What its kernels depend on besides fuselog itself."""
+        """What its kernels depend on besides fuselog itself and the sensors' states."""
         return "" if self.file is None else self.file.read_text()
 
     def declare(self) -> "Model":
@@ -70,7 +76,12 @@ class Declared:
             raise ModelError(f"{self._line(error)}: {type(error).__name__}: {error}") from error
         if not isinstance(model, Model):
             raise ModelError(f"{self.file}: {self.function} returns {type(model).__name__}, not a Model")
-        return model
+        return self._with_states(model) if self.sensors else model
+
+    def _with_states(self, model: "Model") -> "Model":
+        from fuselog.fusion.models.sensor_states import with_sensor_states  # noqa: PLC0415  SymPy takes seconds
+
+        return with_sensor_states(model, self.sensors)
 
     def _module(self) -> Any:
         if self.module is not None:

@@ -2,8 +2,9 @@
 
 import math
 
-from fuselog.fusion.kernel.blank import LD, WIDTH, observe
+from fuselog.fusion.kernel.blank import LD, ROTATION, WIDTH, N, observe
 from fuselog.fusion.kernel.layout import COVARIANCE, HP, ROW
+from fuselog.fusion.kernel.rotations import quaternion_from_rpy, quaternion_product, rotation_vector
 from fuselog.fusion.kernel.rows import row_add, row_scale
 from fuselog.fusion.kernel.scalars import wrap
 from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
@@ -41,11 +42,15 @@ def measure(tables: Tables, history: History, work: Work, k: int, sensor: int, i
 
 @inline
 def innovate(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
-    """nu = z - h(x), angles wrapped (Bezmen 2019, eq. 15)."""
-    M = tables.M
+    """nu = z - h(x), angles wrapped (Bezmen 2019, eq. 15); of a whole attitude the turn to it, in body axes."""
+    M, turn = tables.M, tables.turn[sensor]
+    error = turn_to(history, k, k * (M + 3) + turn) if turn >= 0 else (0.0, 0.0, 0.0)
     for a in range(m):
         i = work.active[a]
-        nu = history.z[k * (M + 3) + i] - measure(tables, history, work, k, sensor, i, a)
+        h = measure(tables, history, work, k, sensor, i, a)
+        nu = history.z[k * (M + 3) + i] - h
+        if turn >= 0 and 0 <= i - turn < 3:
+            nu = axis_of(error, i - turn) - (h - history.state[k * ROW + ROTATION + i - turn])
         work.nu[a] = wrap(nu) if tables.angle[sensor * tables.M + i] else nu
         history.nu[k * M + i] = work.nu[a]
 
@@ -65,10 +70,10 @@ def weigh(tables: Tables, history: History, work: Work, k: int, sensor: int, m: 
             R = history.R[line + work.active[c]]
             work.S[a * m + c] = spread(work, HP, a, c) + R
             modest &= R == 0.0
-        R = history.R[line + work.active[a]]
-        S = spread(work, HP, a, a) + R
+        own = history.R[line + work.active[a]]
+        S = spread(work, HP, a, a) + own
         work.S[a * m + a] = S
-        modest &= S <= MODEST * R
+        modest &= MODEST * own >= S
         history.S[k * M + work.active[a]] = S
     return modest
 
@@ -121,3 +126,20 @@ def mahalanobis(work: Work, m: int) -> float:
         work.y[a] = y * work.L[a * m + a]
         total += work.y[a] * work.y[a]
     return total
+
+
+@inline
+def turn_to(history: History, k: int, z: int) -> tuple[float, float, float]:
+    """Log(q^-1 q_z): the turn (rad, body axes) from the state to the attitude of the roll, pitch, yaw at z."""
+    s, q = history.state, k * ROW + N
+    undo = (-s[q], -s[q + 1], -s[q + 2], s[q + 3])
+    measured = quaternion_from_rpy(history.z[z], history.z[z + 1], history.z[z + 2])
+    apart = quaternion_product(undo, measured)
+    return rotation_vector(apart[0], apart[1], apart[2], apart[3])
+
+
+@inline
+def axis_of(vector: tuple[float, float, float], axis: int) -> float:
+    """One part of a vector."""
+    rest = vector[1] if axis == 1 else vector[2]
+    return vector[0] if axis == 0 else rest

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.kernel.scalars import asin, atan2, cos, root_cos, root_sinc, sin
+from fuselog.fusion.kernel.scalars import atan2, cos, root_cos, root_sinc, sin, wrap
 from fuselog.schemas.compiled import inline, kernel
 
 Floats = NDArray[np.float64]
@@ -29,12 +29,14 @@ def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 @inline
 def rpy_from_quaternion(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """Roll, pitch, yaw of a quaternion of any length but 0: R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    square = x * x + y * y + z * z + w * w
-    sine = min(1.0, max(-1.0, 2.0 * (w * y - z * x) / square))
-    roll = atan2(2.0 * (w * x + y * z), square - 2.0 * (x * x + y * y))
-    yaw = atan2(2.0 * (w * z + x * y), square - 2.0 * (y * y + z * z))
-    return roll, asin(sine), yaw
+    """Roll, pitch, yaw of a quaternion of any length but 0: R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    By half the sum and half the difference of roll and yaw (Bernardes and Viollet 2022): the three give the same
+    rotation back at every attitude, also at a pitch of +-90 deg, where one of the two halves is arbitrary.
+    """
+    minus, plus = math.sqrt((w - y) ** 2 + (x + z) ** 2), math.sqrt((w + y) ** 2 + (x - z) ** 2)
+    total, difference = atan2(x + z, w - y), atan2(x - z, w + y)
+    return wrap(total + difference), 2.0 * atan2(plus, minus) - math.pi / 2, wrap(total - difference)
 
 
 @inline
@@ -49,6 +51,29 @@ def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
         cr * cp * sy - sr * sp * cy,
         cr * cp * cy + sr * sp * sy,
     )
+
+
+@inline
+def rotation_vector(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+    """The shortest turn (rad) of a quaternion of any length but 0: axis times angle, no longer than pi."""
+    length = math.sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return 0.0, 0.0, 0.0
+    factor = math.copysign(2.0, w) * atan2(length, abs(w)) / length
+    return factor * x, factor * y, factor * z
+
+
+@inline
+def put_matrix(q: Quaternion, T: Row) -> None:
+    """The rotation matrix of a quaternion of any length but 0, into T (3, 3)."""
+    x, y, z, w = q
+    square = x * x + y * y + z * z + w * w
+    T[0, 0], T[0, 1], T[0, 2] = square - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+    T[1, 0], T[1, 1], T[1, 2] = 2 * (x * y + z * w), square - 2 * (x * x + z * z), 2 * (y * z - x * w)
+    T[2, 0], T[2, 1], T[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), square - 2 * (x * x + y * y)
+    for i in range(3):
+        for j in range(3):
+            T[i, j] /= square
 
 
 @inline

@@ -67,6 +67,7 @@ class Tables(NamedTuple):
     what: Ints  # (S, M) a state's index, or -1 - q for generated quantity q
     seed: Ints  # (S, M) the state that this number gives at once while that state is unknown, or -1
     level: Ints  # (S,) where the specific force begins among the numbers, for roll and pitch to begin with; or -1
+    turn: Ints  # (S,) where roll, pitch, yaw of a whole attitude begin among the numbers; or -1
     angle: Bytes  # (S, M) whether the number is an angle
     threshold: Floats  # (S, M) gate: most that the NIS of 1 to M numbers may be; inf for no gate
     sensor: Floats  # (S, 7) lever arm x y z (m, body), gravity (m/s²), station x y z (m, world)

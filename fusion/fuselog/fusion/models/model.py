@@ -84,7 +84,8 @@ class Model:
     densities to their default values; ``covariance`` gives the entries of Q(dt), by pairs of states, in those densities
     and ``DT``, so that what is added in one second does not depend on the rate. Input noise enters as B U B'/dt with
     B = df/du. ``rest`` is the input of a body that does not move, where that is not 0: it holds until the first sample.
-    ``parameters`` are constants that a configuration may set, with their defaults.
+    ``parameters`` are constants that a configuration may set, with their defaults. ``measured`` is what only one sensor
+    measures, by name, as ``with_sensor_states`` adds it.
     """
 
     name: str
@@ -97,6 +98,7 @@ class Model:
     rest: Mapping[str, float] = field(default_factory=dict[str, float])
     parameters: Mapping[str, float] = field(default_factory=dict[str, float])
     rotation: Rotation | None = None
+    measured: Mapping[str, Expr] = field(default_factory=dict[str, Expr])
 
     def __post_init__(self) -> None:
         check_model(self)

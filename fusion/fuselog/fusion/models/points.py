@@ -27,6 +27,19 @@ def _triple(names: list[str]) -> tuple[Expr, Expr, Expr]:
     return first[0], first[1], first[2]
 
 
+def _body(axes: tuple[str, ...], rates: list[str], acceleration: tuple[Expr, Expr, Expr] | None = None) -> Body:
+    """A body whose axes are the world's."""
+    velocity, zero = _triple(rates), sp.Integer(0)
+    return Body(
+        position=_triple([*axes]),
+        velocity=velocity,
+        world_from_body=sp.eye(3),
+        twist_linear=velocity,
+        twist_angular=(zero, zero, zero),
+        acceleration=acceleration,
+    )
+
+
 def brownian() -> Model:
     """A number that is driven by a known or measured speed and wanders (Kiselev 2020, 1.3; Melnikov's stone)."""
     x, v = symbols("x v")
@@ -47,20 +60,13 @@ def _constant_velocity(name: str, dimensions: int) -> Model:
     covariance: dict[tuple[str, str], Expr] = {}
     for axis in axes:
         covariance |= white_acceleration(f"a{axis}", axis, f"v{axis}")
-    velocity, zero = _triple(rates), sp.Integer(0)
     return Model(
         name=name,
         states=dict.fromkeys(axes, "m") | dict.fromkeys(rates, "m/s"),
         transition={axis: symbol(axis) + symbol(f"v{axis}") * DT for axis in axes} | {v: symbol(v) for v in rates},
         noise={f"a{axis}": 1.0 for axis in axes},
         covariance=covariance,
-        body=Body(
-            position=_triple([*axes]),
-            velocity=velocity,
-            world_from_body=sp.eye(3),
-            twist_linear=velocity,
-            twist_angular=(zero, zero, zero),
-        ),
+        body=_body(axes, rates),
     )
 
 
@@ -89,21 +95,13 @@ def _constant_acceleration(name: str, dimensions: int) -> Model:
         p, v, a = symbols(f"{axis} v{axis} a{axis}")
         transition |= {axis: p + v * DT + a * DT**2 / 2, f"v{axis}": v + a * DT}
         covariance |= white_jerk(f"j{axis}", axis, f"v{axis}", f"a{axis}")
-    velocity, zero = _triple(rates), sp.Integer(0)
     return Model(
         name=name,
         states=dict.fromkeys(axes, "m") | dict.fromkeys(rates, "m/s") | dict.fromkeys(pushes, "m/s²"),
         transition=transition,
         noise={f"j{axis}": 1.0 for axis in axes},
         covariance=covariance,
-        body=Body(
-            position=_triple([*axes]),
-            velocity=velocity,
-            world_from_body=sp.eye(3),
-            twist_linear=velocity,
-            twist_angular=(zero, zero, zero),
-            acceleration=_triple(pushes),
-        ),
+        body=_body(axes, rates, _triple(pushes)),
     )
 
 

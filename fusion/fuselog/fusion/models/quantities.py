@@ -8,21 +8,27 @@ from collections.abc import Mapping
 
 import sympy as sp
 
-from fuselog.fusion.models.model import Body, Expr
+from fuselog.fusion.models.model import Body, Expr, Model
 
 # What the expressions may use beside the state, in the order in which kernels receive it.
 SENSOR = sp.symbols("lever_x lever_y lever_z gravity origin_x origin_y origin_z", real=True)  # fixed for a sensor
 SAMPLE = sp.symbols("beacon_x beacon_y beacon_z", real=True)  # comes with each sample, m, world frame
 
 
+def measurable(model: Model) -> Mapping[str, Expr]:
+    """All that sensors can measure of a model besides states: quantities of its body, and what sensors add."""
+    return {**quantities(model.body), **model.measured}
+
+
 def quantities(body: Body | None) -> Mapping[str, Expr]:
     """The measurable quantities of a body, by name; none where a model has no body.
 
-    ``position_*`` is where the sensor is in the world, ``twist_*`` how the sensor's place moves (body axes),
-    ``force_*`` what an accelerometer there reads (specific force, body axes), ``range bearing range_rate`` the body
-    as seen from a station at ``origin``, ``beacon_range`` the distance from the sensor to a beacon, ``roll pitch yaw``
-    the attitude, ``azimuth`` the direction from east, to the left, of a horizontal vector that the sample holds in
-    body axes. The lever arm goes from the body to the sensor, in body axes.
+    ``position_*`` is where the sensor is in the world, ``twist_*`` how the sensor's place moves and ``rate_*`` how it
+    turns (body axes), ``force_*`` what an accelerometer there reads (specific force, body axes), ``range bearing
+    range_rate`` the body as seen from a station at ``origin`` and ``sensor_range ...`` what is mounted on it,
+    ``beacon_range`` the distance from the sensor to a beacon, ``roll pitch yaw`` the attitude, ``azimuth`` the
+    direction from east, to the left, of a horizontal vector that the sample holds in body axes. The lever arm goes from
+    the body to the sensor, in body axes.
     """
     if body is None:
         return {}
@@ -34,10 +40,13 @@ def quantities(body: Body | None) -> Mapping[str, Expr]:
     found: dict[str, Expr] = {}
     found |= dict(zip(("position_x", "position_y", "position_z"), position, strict=True))
     found |= dict(zip(("twist_x", "twist_y", "twist_z"), twist, strict=True))
+    found |= dict(zip(("rate_x", "rate_y", "rate_z"), rate, strict=True))
     if body.acceleration is not None:
         force = sp.Matrix(body.acceleration) + rate.cross(rate.cross(lever)) + turn.T * sp.Matrix([0, 0, gravity])
         found |= dict(zip(("force_x", "force_y", "force_z"), force, strict=True))
     found |= _polar(sp.Matrix(body.position) - origin, sp.Matrix(body.velocity))
+    at_sensor = _polar(position - origin, sp.Matrix(body.velocity) + turn * rate.cross(lever))
+    found |= {f"sensor_{name}": expression for name, expression in at_sensor.items()}
     found["beacon_range"] = _length(position - sp.Matrix(SAMPLE))
     found["roll"] = sp.atan2(turn[2, 1], turn[2, 2])
     found["pitch"] = sp.atan2(-turn[2, 0], sp.sqrt(turn[2, 1] ** 2 + turn[2, 2] ** 2))

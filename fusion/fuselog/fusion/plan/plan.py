@@ -7,13 +7,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.config import Config, Problem, SensorSettings, Source, did_you_mean, read_source, validate
+from fuselog.fusion.config import Config, Problem, Source, did_you_mean, read_source, validate
 from fuselog.fusion.gate import chi_square_quantile
 from fuselog.fusion.kernel.cache import ModelCard, kernel_module, model_card
 from fuselog.fusion.kernel.declared import Declared, ModelError, find_model, known_models
 from fuselog.fusion.kernel.tables import Role, Tables
 from fuselog.fusion.plan.gains import gain_tables
-from fuselog.fusion.plan.sensors import AT_SENSOR, FORCE, ROTATION, SensorPlan, plan_sensor
+from fuselog.fusion.plan.keys import check_keys, check_shared
+from fuselog.fusion.plan.sensors import FORCE, SensorPlan, plan_sensor, quantity_of
+from fuselog.fusion.plan.states import check_levers, sensor_states, walks
 from fuselog.fusion.plan.steady import Lag, check_frozen, check_rates, settle_gains
 
 
@@ -62,11 +64,21 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         if isinstance(error, KeyError):
             reason = f"there is no model {config.model.name!r}{did_you_mean(config.model.name, known_models())}"
         raise source.complain([*known_problems, Problem(("model", "name"), reason)]) from error
-    problems = _check_names(config, card)
+    problems: list[Problem] = []
     sensors = [
         plan_sensor(rank, name, settings, card, problems)
         for rank, (name, settings) in enumerate(config.sensors.items())
     ]
+    for sensor in sensors:
+        check_keys(sensor, problems)
+    check_shared(sensors, problems)
+    own_noise, added = list(card.noise), sensor_states(sensors, card, problems)
+    if added and not problems:
+        model = model.with_sensors(added)
+        card = model_card(model)
+        check_levers(added, card, problems)
+    walk = walks(added, config)
+    problems += _check_names(config, card, own_noise, [*card.states, *(walk if problems else ())])
     measured: list[str] = []
     rows = [_rows(sensor, card, measured) for sensor in sensors]
     gains = gain_tables(config, card, sensors, rows, problems)
@@ -81,9 +93,11 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
     fed = {seed for sensor_rows in rows for _, seed in sensor_rows}
     if any(_level(sensor, card) >= 0 for sensor in sensors):
         fed |= {list(card.states).index(name) for name in ("roll", "pitch")}
-    sd = np.array([config.initial.sd.get(state, 1.0) for state in card.states])
+    begin = {state: value for state, (_, value) in walk.items()} | config.initial.state
+    deviation = {state: each.sd for state, (each, _) in walk.items()} | config.initial.sd
+    sd = np.array([deviation.get(state, 1.0) for state in card.states])
     M = max(sensor.dof for sensor in sensors)
-    P = np.diag(sd**2)
+    x, P = np.array([begin.get(state, 0.0) for state in card.states]), np.diag(sd**2)
     tables = Tables(
         M=M,
         S=len(sensors),
@@ -91,17 +105,18 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         rows=np.array([sensor.dof for sensor in sensors]),
         what=_table([[what for what, _ in r] for r in rows], M, np.int64),
         seed=_table([[seed for _, seed in r] for r in rows], M, np.int64),
+        turn=np.array([sensor.turn for sensor in sensors]),
         angle=_table([sensor.angles for sensor in sensors], M, np.uint8),
         threshold=np.array([_thresholds(sensor, M) for sensor in sensors]).ravel(),
         sensor=np.array([_place(sensor, config) for sensor in sensors]).ravel(),
         level=np.array([_level(sensor, card) for sensor in sensors]),
-        q=_constants(config, card),
+        q=_constants(config, card, {state: each.drift**2 for state, (each, _) in walk.items()}),
         window_ns=round(config.lag.window * 1e9),
         **gains,
     )
     kernel = kernel_module(model, measured)
-    problems += check_frozen(config, card, sensors, tables, kernel, P)
-    settled = settle_gains(config, card, sensors, tables, kernel)
+    problems += check_frozen(config, x, card, sensors, tables, kernel, P)
+    settled = settle_gains(config, x, card, sensors, tables, kernel)
     if isinstance(settled, Problem):
         raise source.complain([*problems, settled])
     if problems:
@@ -115,19 +130,19 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         measured=tuple(measured),
         tables=settled.tables,
         lags=settled.lags,
-        x=np.array([config.initial.state.get(state, 0.0) for state in card.states]),
+        x=x,
         P=P,
         known=given | np.array([index not in fed for index in range(len(card.states))]),
     )
 
 
-def _check_names(config: Config, card: ModelCard) -> list[Problem]:
+def _check_names(config: Config, card: ModelCard, noise: Sequence[str], states: Sequence[str]) -> list[Problem]:
     named: list[tuple[tuple[str, ...], Mapping[str, object], Sequence[str]]] = [
-        (("model", "process_noise"), config.model.process_noise, list(card.noise)),
+        (("model", "process_noise"), config.model.process_noise, noise),
         (("model", "parameters"), config.model.parameters, list(card.parameters)),
-        (("initial", "state"), config.initial.state, list(card.states)),
-        (("initial", "sd"), config.initial.sd, list(card.states)),
-        (("gain", "scales"), config.gain.scales, list(card.states)),
+        (("initial", "state"), config.initial.state, states),
+        (("initial", "sd"), config.initial.sd, states),
+        (("gain", "scales"), config.gain.scales, states),
     ]
     return [
         Problem((*place, name), f"{card.name} has no {name!r}{did_you_mean(name, known)}")
@@ -148,8 +163,9 @@ def _rows(sensor: SensorPlan, card: ModelCard, measured: list[str]) -> list[tupl
     states = list(card.states)
     rows: list[tuple[int, int]] = []
     for name in sensor.names if sensor.role == Role.MEASURES else ():
-        quantity = _quantity(sensor.settings, name, card)
-        given = {"state": name, "magnetometer": "yaw"}.get(sensor.settings.kind)
+        own = f"{sensor.name}.{name}"
+        quantity = own if own in card.quantities else quantity_of(sensor, name, card)
+        given = {"polar": None, "beacon_range": None, "magnetometer": "yaw"}.get(sensor.settings.kind, name)
         seed = states.index(given) if given in states else -1
         if quantity is None or quantity not in card.quantities:
             rows.append((max(seed, 0), seed))
@@ -160,21 +176,6 @@ def _rows(sensor: SensorPlan, card: ModelCard, measured: list[str]) -> list[tupl
     return rows or [(0, -1)] * sensor.dof
 
 
-def _quantity(settings: SensorSettings, name: str, card: ModelCard) -> str | None:
-    """The generated quantity that a number is, or None where the number is the state itself."""
-    if settings.kind == "beacon_range":
-        return "beacon_range"
-    if settings.kind == "magnetometer":
-        return "azimuth"
-    if settings.kind == "polar" or (card.rotates and name in ROTATION):
-        return name
-    if name in FORCE and settings.remove_gravity:
-        return FORCE[name]
-    if settings.mount == "from_tf" or any(settings.mount.xyz) or name not in card.states:
-        return AT_SENSOR.get(name)
-    return None
-
-
 def _level(sensor: SensorPlan, card: ModelCard) -> int:
     """Where the specific force begins among the sensor's numbers that can say how roll and pitch are; or -1."""
     if not card.rotates or not {*FORCE} <= {*sensor.names} or not sensor.settings.remove_gravity:
@@ -183,10 +184,10 @@ def _level(sensor: SensorPlan, card: ModelCard) -> int:
     return first if sensor.names[first : first + 3] == tuple(FORCE) else -1
 
 
-def _constants(config: Config, card: ModelCard) -> NDArray[np.float64]:
+def _constants(config: Config, card: ModelCard, drifts: Mapping[str, float]) -> NDArray[np.float64]:
     """Noise densities and parameters of the model, in their order."""
-    given = {"gravity": config.gravity} | config.model.parameters
-    noise = [config.model.process_noise.get(name, default) for name, default in card.noise.items()]
+    given, densities = {"gravity": config.gravity} | config.model.parameters, {**config.model.process_noise, **drifts}
+    noise = [densities.get(name, default) for name, default in card.noise.items()]
     return np.array([*noise, *(given.get(name, default) for name, default in card.parameters.items())])
 
 

@@ -15,15 +15,21 @@ class Shape(IntEnum):
     VECTOR = 1  # three numbers along the sensor's axes; the mount turns them
     ORIENTATION = 2  # quaternion x y z w of the sensor in the world -> roll pitch yaw of the body
     GEODETIC = 3  # latitude, longitude (deg), altitude (m) -> east, north, up from the datum (m)
+    PRESSURE = 4  # of air (Pa) -> height above the reference (m)
+    ZERO = 5  # 0, whatever the message says
 
 
 @dataclass(frozen=True, slots=True)
 class Covariance:
-    """A square matrix in the message: its path, its order, and the row of a part's first quantity."""
+    """A square matrix in the message: its path, its order, and the row of a part's first quantity.
+
+    That of an attitude is about the axes of the sensor, or, ``fixed``, about those of the frame that the pose is in.
+    """
 
     path: str
     order: int
     row: int
+    fixed: bool = False
 
     def entry(self, i: int, j: int) -> str:
         """The path of the entry of quantities i and j of the part."""
@@ -54,7 +60,7 @@ def _vector(names: tuple[str, ...], path: str, covariance: Covariance | None = N
 
 
 def _pose(path: str, covariance: str | None = None) -> tuple[Part, ...]:
-    at = [Covariance(covariance, 6, row) if covariance else None for row in (0, 3)]
+    at = [Covariance(covariance, 6, row, fixed=True) if covariance else None for row in (0, 3)]
     quaternion = tuple(f"{path}.orientation.{axis}" for axis in "xyzw")
     position = Part(_XYZ, Shape.SCALAR, tuple(f"{path}.position.{axis}" for axis in "xyz"), at[0])
     return position, Part(_RPY, Shape.ORIENTATION, quaternion, at[1])
@@ -89,11 +95,16 @@ PARTS: Mapping[str, tuple[Part, ...]] = MappingProxyType(
         "sensor_msgs/msg/Range": (Part(("range",), Shape.SCALAR, ("range",)),),
     }
 )
+_FLUID_PRESSURE = Part(("z",), Shape.PRESSURE, ("fluid_pressure",), Covariance("variance", 0, 0))
 SAME_QUANTITY: Mapping[str, str] = MappingProxyType({"v": "vx"})  # a planar model's speed is the forward velocity
 
 
 def sensor_parts(sensor: SensorSettings, names: tuple[str, ...], message_type: str) -> tuple[Part, ...] | str:
     """The parts of a message that give ``names`` to this sensor, or why its type cannot."""
+    if sensor.kind in ("constant", "zero_velocity"):
+        return (Part(names, Shape.ZERO, ()),)
+    if sensor.kind == "pressure" and message_type == "sensor_msgs/msg/FluidPressure" and sensor.value is None:
+        return (_FLUID_PRESSURE,)
     explicit = _explicit(sensor, names)
     wanted = [name for name in names if name not in {n for part in explicit for n in part.names}]
     parts: list[Part] = list(explicit)
@@ -119,6 +130,9 @@ def _explicit(sensor: SensorSettings, names: tuple[str, ...]) -> list[Part]:
         fields |= {
             name: f"{sensor.beacon or 'beacon_position'}.{axis}" for name, axis in zip(BEACON, "xyz", strict=True)
         }
+    if sensor.kind == "pressure":
+        fields["z"] = sensor.value or "fluid_pressure"
+    shape = Shape.PRESSURE if sensor.kind == "pressure" else Shape.SCALAR
     listed = [name for name in (*names, *BEACON) if name in fields]
     parts: list[Part] = []
     for row, name in enumerate(listed):
@@ -127,5 +141,5 @@ def _explicit(sensor: SensorSettings, names: tuple[str, ...]) -> list[Part]:
             covariance = Covariance(sensor.covariance, len(names), row)
         elif name in sensor.variance:
             covariance = Covariance(sensor.variance[name], 0, 0)
-        parts.append(Part((name,), Shape.SCALAR, (fields[name],), covariance))
+        parts.append(Part((name,), shape, (fields[name],), covariance))
     return parts

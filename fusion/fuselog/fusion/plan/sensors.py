@@ -1,7 +1,8 @@
 """One sensor of a configuration, its names resolved against the model."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from fuselog.fusion.config import Problem, SensorSettings, did_you_mean
 from fuselog.fusion.kernel.cache import ModelCard
@@ -14,6 +15,7 @@ AT_SENSOR = {
     **{"x": "position_x", "y": "position_y", "z": "position_z"},
     **{"vx": "twist_x", "v": "twist_x", "vy": "twist_y", "vz": "twist_z"},
 }
+RATE = {"roll_rate": "rate_x", "pitch_rate": "rate_y", "yaw_rate": "rate_z"}
 ROTATION = ("roll", "pitch", "yaw")
 
 MOST_ROWS = 9  # numbers that one sample measures at most
@@ -30,33 +32,70 @@ class SensorPlan:
     names: tuple[str, ...]  # the numbers that a sample measures, in the order of its rows
     angles: tuple[bool, ...]
     dof: int
+    turn: int = -1  # where roll, pitch, yaw of a whole attitude begin among the numbers, in a model with a quaternion
+
+    @property
+    def topic(self) -> str:
+        """Where its samples come from."""
+        return self.settings.topic
+
+    @property
+    def drives(self) -> bool:
+        """Whether it is an input."""
+        return self.role != Role.MEASURES
 
 
-def _measurable(card: ModelCard) -> list[str]:
+def _measurable(card: ModelCard, more: Mapping[str, str] = MappingProxyType({})) -> list[str]:
     """The states, and what else a body with an attitude of its own can be asked for."""
-    derived = {**AT_SENSOR, **FORCE} if card.rotates else {}
+    derived = {**AT_SENSOR, **RATE, **more} if card.rotates else {}
     return [
         *card.states,
         *(n for n, quantity in derived.items() if n not in card.states and quantity in card.quantities),
     ]
 
 
+def _standing(card: ModelCard) -> list[str]:
+    """The numbers that are 0 while the body stands."""
+    moves = not card.rotates or "x" in card.states
+    speeds = ["vx", "vy", "vz"] if card.rotates else [n for n, at in AT_SENSOR.items() if at.startswith("twist")]
+    return [n for n in _measurable(card) if n in RATE or (moves and n in speeds)]
+
+
+def _known(kind: str, card: ModelCard) -> Sequence[str]:
+    """The numbers that a sensor of this kind can give."""
+    known: Mapping[str, Sequence[str]] = {
+        "input": list(card.inputs),
+        "state": _measurable(card, FORCE),
+        "constant": _measurable(card),
+        "zero_velocity": _measurable(card),
+        "polar": POLAR,
+        "magnetometer": ("heading",),
+        "beacon_range": ("range",),
+        "pressure": [n for n in _measurable(card) if n == "z"],
+    }
+    return known[kind]
+
+
 def plan_sensor(rank: int, name: str, settings: SensorSettings, card: ModelCard, problems: list[Problem]) -> SensorPlan:
     """Resolve what the sensor measures; what is wrong with it is added to ``problems``."""
-    place = ("sensors", name)
-    if settings.kind == "input":
-        known: Sequence[str] = list(card.inputs)
+    place, kind = ("sensors", name), settings.kind
+    known = _known(kind, card)
+    names: Sequence[str] = settings.fuse
+    if kind == "input":
         names = list(card.inputs)
         if not known:
             problems.append(Problem((*place, "kind"), f"{card.name} takes no input"))
         if settings.fuse and set(settings.fuse) != set(known):
             problems.append(Problem((*place, "fuse"), f"an input gives all of {', '.join(known)}"))
-    elif settings.kind == "state":
-        known, names = _measurable(card), settings.fuse
-    else:
-        known = {"polar": POLAR, "magnetometer": ("heading",)}.get(settings.kind, ("range",))
+    elif kind == "pressure" and not known:
+        problems.append(Problem((*place, "kind"), f"{card.name} has no z"))
+    elif kind == "zero_velocity":
+        names = settings.fuse or _standing(card)
+        if not names:
+            problems.append(Problem((*place, "kind"), f"{card.name} has no velocity that could be 0"))
+    elif kind not in ("state", "constant"):
         names = settings.fuse or list(known)
-    if not names and known:
+    if not names and known and kind != "zero_velocity":
         problems.append(Problem(place, f"fuse is required: a list of {', '.join(known)}"))
     for index, fused in enumerate(settings.fuse):
         if fused not in known:
@@ -65,7 +104,7 @@ def plan_sensor(rank: int, name: str, settings: SensorSettings, card: ModelCard,
             problems.append(Problem((*place, "fuse", index), f"{fused} is there twice"))
     if len(names) > MOST_ROWS:
         problems.append(Problem((*place, "fuse"), f"at most {MOST_ROWS} numbers a sensor; split it in two"))
-    for key in ("noise", "noise_floor", "scale", "offset", "variance"):
+    for key in ("noise", "noise_floor", "scale", "offset", "variance", "fields"):
         for number in getattr(settings, key):
             if number not in names:
                 reason = f"{number!r} is not fused{did_you_mean(number, names)}"
@@ -79,4 +118,38 @@ def plan_sensor(rank: int, name: str, settings: SensorSettings, card: ModelCard,
         names=tuple(names),
         angles=tuple(n in ANGLES or card.states.get(n) == "rad" for n in names),
         dof=len(names),
+        turn=_whole_attitude(settings, names, card, problems, place),
     )
+
+
+def _whole_attitude(
+    settings: SensorSettings, names: Sequence[str], card: ModelCard, problems: list[Problem], place: tuple[str, ...]
+) -> int:
+    """Where roll, pitch, yaw begin when a sensor gives all three to a quaternion; else -1."""
+    if not card.rotates or settings.kind not in ("state", "constant") or not {*ROTATION} <= {*names}:
+        return -1
+    first = names.index("roll")
+    if tuple(names[first : first + 3]) != ROTATION:
+        problems.append(
+            Problem((*place, "fuse"), f"write {', '.join(ROTATION)} one after the other: they are one turn")
+        )
+    return first
+
+
+def quantity_of(sensor: SensorPlan, name: str, card: ModelCard) -> str | None:
+    """The generated quantity that a number is, or None where the number is the state itself."""
+    settings, mount = sensor.settings, sensor.settings.mount
+    mounted = mount == "from_tf" or any(mount.xyz) or settings.states.lever is not None
+    if settings.kind == "beacon_range":
+        return "beacon_range"
+    if settings.kind == "magnetometer":
+        return "azimuth"
+    if settings.kind == "polar":
+        return f"sensor_{name}" if mounted else name
+    if card.rotates and name in ROTATION:
+        return None if sensor.turn >= 0 else name
+    if settings.kind == "state" and name in FORCE and settings.remove_gravity:
+        return FORCE[name]
+    if name in RATE and name not in card.states:
+        return RATE[name]
+    return AT_SENSOR.get(name) if mounted or name not in card.states else None

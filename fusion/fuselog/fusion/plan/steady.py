@@ -1,6 +1,6 @@
 """Gains that no longer change, and proof that fixed ones work: the filter about a nominal point, over a period."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from math import gcd, lcm
 from types import ModuleType
@@ -87,9 +87,11 @@ def check_rates(config: Config, card: ModelCard, sensors: Sequence[SensorPlan]) 
 
 
 def settle_gains(
-    config: Config, card: ModelCard, sensors: Sequence[SensorPlan], tables: Tables, kernel: ModuleType
+    config: Config, x: Floats, card: ModelCard, sensors: Sequence[SensorPlan], tables: Tables, kernel: ModuleType
 ) -> Settled | Problem:
     """The tables with all steady gains, and what reacquisition and health need; or why there is none.
+
+    ``x`` (N,) is the state to linearise about, but for the nominal one.
 
     The schedule of all sensors repeats after the least common multiple of their periods; its periodic Riccati equation
     gives a gain for each sample in it (Bittanti and Colaneri 2009), and a sensor's gain is the mean of its own. With
@@ -102,7 +104,7 @@ def settle_gains(
     for index, (place, variant) in enumerate(variants(config, [])):
         try:
             order = make_round(rates, tables.period_ns)
-            steps = Nominal(config, card, sensors, tables, kernel, variant).steps(order)
+            steps = Nominal(variant.nominal, x, card, sensors, tables, kernel).steps(order)
             kept = _closed(steps, list(card.states), variant.open_loop)
             inner = [_without(step, kept) for step in steps]
             states = [list(card.states)[i] for i in kept]
@@ -122,6 +124,7 @@ def settle_gains(
 
 def check_frozen(
     config: Config,
+    x: Floats,
     card: ModelCard,
     sensors: Sequence[SensorPlan],
     tables: Tables,
@@ -131,7 +134,7 @@ def check_frozen(
     """States of sd 0 that no process noise reaches: nothing would ever correct them."""
     if np.diag(P).all():
         return []
-    step = Nominal(config, card, sensors, tables, kernel, config.gain).move(Fraction(1))
+    step = Nominal(config.gain.nominal, x, card, sensors, tables, kernel).move(Fraction(1))
     return [
         Problem(("initial", "sd", state), "0, and no process noise reaches it: nothing would ever correct it")
         for i, state in enumerate(card.states)
@@ -164,15 +167,15 @@ class Nominal:
 
     def __init__(
         self,
-        config: Config,
+        nominal: Mapping[str, float],
+        x: Floats,
         card: ModelCard,
         sensors: Sequence[SensorPlan],
         tables: Tables,
         kernel: ModuleType,
-        variant: GainSettings,
     ) -> None:
-        nominal = config.initial.state | variant.nominal
-        x = np.array([nominal.get(name, 0.0) for name in card.states])
+        """``nominal`` states and inputs by name; x (N,) where it does not say."""
+        x = np.array([nominal.get(name, value) for name, value in zip(card.states, x, strict=True)])
         u = rest_input([nominal.get(name, rest) for name, rest in card.rest.items()])
         for sensor in sensors:
             if sensor.role != Role.MEASURES:

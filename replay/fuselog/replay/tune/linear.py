@@ -121,8 +121,7 @@ def _full_steps(plan: Plan, seen: Observed, order: Order) -> list[Step]:
     for rank, lever in seen.levers.items():
         tables.sensor[rank * 7 : rank * 7 + 3] = lever
     kernel = kernel_module(plan.model, plan.measured)
-    variant = plan.config.gain.model_copy(update={"nominal": dict(seen.nominal)})
-    nominal = Nominal(plan.config, plan.card, plan.sensors, tables, kernel, variant)
+    nominal = Nominal(seen.nominal, plan.x, plan.card, plan.sensors, tables, kernel)
     R = {sensor.rank: seen.noise[sensor.name] for sensor in measuring_sensors(plan)}
     return [make_step(*nominal.move(dt), nominal.seen(rank), R[rank]) for dt, rank in order]
 
