@@ -4,15 +4,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion import Engine
-from fuselog.fusion.kernel.cache import kernel_module
 from fuselog.fusion.kernel.memory import blank_linear, scratch
 
 
 def observation(engine: Engine, sensor: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """h (m,) and H (m, N)."""
     plan, history = engine.plan, engine.snapshot().history
-    kernel, M = kernel_module(plan.model, plan.measured), plan.tables.M
+    kernel, M = plan.kernel, plan.tables.M
     linear = blank_linear(kernel, M)
     (planned,) = (each for each in plan.sensors if each.name == sensor)
-    kernel.observation(plan.tables, history, scratch(kernel, M, len(plan.sensors)), linear, int(history.cursor[1]), planned.rank)
+    kernel.observation(plan.tables, history, scratch(kernel, plan.tables), linear, int(history.cursor[1]), planned.rank)
     return linear.h[: planned.dof].copy(), linear.H.reshape(M, kernel.N)[: planned.dof].copy()

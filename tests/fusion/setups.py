@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from tests.fusion.reference import MOTIONS, Motion, Place
 
 from fuselog.fusion import Engine, Events, Plan, compile_plan, parse_config
-from fuselog.fusion.kernel.cache import kernel_module
 from fuselog.fusion.kernel.rotations import quaternions_from_rpy
 from fuselog.fusion.kernel.tables import SAMPLE_WIDTH
 
@@ -178,7 +177,7 @@ def events_of(plan: Plan, samples: Iterable[Sample]) -> Events:
 
 def put(engine: Engine, x: NDArray, P: NDArray, *, t_ns: int) -> None:
     """Set the newest state of an engine that has fused something, at a time of its own."""
-    kernel = kernel_module(engine.plan.model, engine.plan.measured)
+    kernel = engine.plan.kernel
     snapshot = engine.snapshot()
     tail, N, LD = int(snapshot.history.cursor[1]), kernel.N, kernel.LD
     row = snapshot.history.state[tail * kernel.ROW : (tail + 1) * kernel.ROW]

@@ -1,5 +1,6 @@
 """Health of filters whose trouble the test makes: each is said with its reason, and nothing else is."""
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -168,3 +169,15 @@ def filled(stamps: Sequence[int]) -> Track:
         innovation_variance=np.zeros((n, 2)),
         absorbed=np.zeros((n, 2)),
     )
+
+
+def test_sensors_that_disagree() -> None:
+    """Two that measure the same: by how much, how surely and for how long; chance alone says nothing."""
+    rng = np.random.default_rng(5)
+    rows = [(topic, t, x + (8.0 if topic == "b" and t > 40 else 0.0), y) for topic, t, x, y in both(600)]
+    reasons = [reason for reason in health_of(rows).reasons if "disagree" in reason]
+    assert len(reasons) == 1
+    assert re.fullmatch(r"a: a and b disagree on x by -[78]\.\d+ \(\d+ sigma\) for 49 samples: .*", reasons[0])
+    for _ in range(20):
+        rows = [(topic, t, float(rng.normal()), float(rng.normal())) for topic, t, _, _ in both(100)]
+        assert not any("disagree" in reason for reason in health_of(rows).reasons)

@@ -14,7 +14,6 @@ from tests.fusion.test_inertial import NOISE, SECOND, State
 from tests.fusion.test_user_models import TRICYCLE
 
 from fuselog.fusion import Engine, compile_plan, load_plan, parse_config
-from fuselog.fusion.kernel.cache import kernel_module
 from fuselog.fusion.kernel.memory import blank_linear
 from fuselog.schemas import ConfigError
 
@@ -251,7 +250,7 @@ def test_an_input_with_bias_and_scale() -> None:
     )
     assert plan.states == ("x", "y", "yaw", "wheels.bias.yaw_rate", "wheels.scale.v")
     kernel, x, u, dt = (
-        kernel_module(plan.model, plan.measured),
+        plan.kernel,
         np.array([1, 2, 0.4, 0.05, -0.1]),
         np.array([2, 0.3]),
         0.3,

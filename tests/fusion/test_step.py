@@ -19,7 +19,6 @@ from tests.fusion.setups import (
 )
 
 from fuselog.fusion import Decision, Engine, Events, Plan, Track
-from fuselog.fusion.kernel.cache import kernel_module
 from fuselog.fusion.track import unpack
 
 INPUTS = ("wheel", "before")
@@ -213,7 +212,7 @@ def _later(events: Events, shift_ns: int, seq: int) -> Events:
 
 def assert_all_symmetric(engine: Engine) -> None:
     """Every P that the engine remembers equals its transpose, bit for bit."""
-    kernel, history = kernel_module(engine.plan.model, engine.plan.measured), engine.snapshot().history
+    kernel, history = engine.plan.kernel, engine.snapshot().history
     head, tail = history.cursor[:2]
     rows = history.state.reshape(-1, kernel.ROW)[head : tail + 1]
     P = rows[:, kernel.COVARIANCE : kernel.COVARIANCE + kernel.LD**2].reshape(-1, kernel.LD, kernel.LD)

@@ -1,7 +1,7 @@
 """The estimator: events in, track out."""
 
 from fuselog.fusion.config import Config, load_config, parse_config
-from fuselog.fusion.engine import Engine, Estimate, Snapshot
+from fuselog.fusion.engine import Engine, Estimate, Learned, Snapshot
 from fuselog.fusion.events import Decision, Events
 from fuselog.fusion.filter import Filter, Order
 from fuselog.fusion.intake import Stream
@@ -18,6 +18,7 @@ __all__ = [
     "Estimate",
     "Events",
     "Filter",
+    "Learned",
     "Ledger",
     "Order",
     "Output",

@@ -7,13 +7,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Events
-from fuselog.fusion.kernel.cache import kernel_module
 from fuselog.fusion.kernel.memory import begin_history, blank_rows, empty_history, rest_input, scratch
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, History, Samples
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.track import Track
 
 _FIRST_CAPACITY = 16  # entries, few enough for the fastest cache; the history grows with what the window holds
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Learned:
+    """What a filter has learned of its noises, and of standstills, by now."""
+
+    process: float  # factor on the process noise densities
+    noise: NDArray[np.float64]  # (S,) factor on the sd of each sensor
+    recovered: NDArray[np.int64]  # (S,) how often its gate let in what it had long refused
+    judged: NDArray[np.int64]  # (S,) stretches looked at for a standstill
+    stood: NDArray[np.int64]  # (S,) those that were one
+    refused: NDArray[np.int64]  # (S,) those that looked like one while the estimate was sure to move
+    standing: NDArray[np.bool_]  # (S,) whether the last stretch looked like one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,6 +36,7 @@ class Estimate:
     x: NDArray[np.float64]  # (N,) NaN where not known
     P: NDArray[np.float64]  # (N, N)
     known: NDArray[np.bool_]  # (N,) False while a state waits for its first measurement
+    learned: Learned
 
 
 class Snapshot(NamedTuple):
@@ -46,15 +59,14 @@ class Engine:
         ``optimal`` puts the optimal gain in the place of any other.
         """
         self.plan = plan
-        self._kernel = kernel_module(plan.model, plan.measured)
+        self._kernel = plan.kernel
         window_ns = plan.tables.window_ns if window_ns is None else window_ns
         self._tables = plan.tables._replace(sensor=plan.tables.sensor.copy(), window_ns=window_ns)
         if optimal:
             self._tables = self._tables._replace(gain=np.zeros_like(plan.tables.gain), gap_ns=-1, covariance=1)
-        self._work = scratch(self._kernel, plan.tables.M, len(plan.sensors))
+        self._work = scratch(self._kernel, plan.tables)
         u = rest_input(list(plan.card.rest.values()))
-        M, S = plan.tables.M, len(plan.sensors)
-        self._history = begin_history(self._kernel, M, S, _FIRST_CAPACITY, plan.x, plan.P, plan.known, u)
+        self._history = begin_history(self._kernel, plan.tables, _FIRST_CAPACITY, plan.x, plan.P, plan.known, u)
 
     def advance(self, events: Events) -> Track:
         """Apply the events, in the order given, and return a row for each."""
@@ -97,7 +109,9 @@ class Engine:
         P = row[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N]
         known = row[kernel.KNOWN : kernel.KNOWN + N] != 0
         x = np.where(known, row[:N], np.nan)
-        return Estimate(t_ns=None if t == NEVER else self._moment(t), x=x, P=P, known=known)
+        return Estimate(
+            t_ns=None if t == NEVER else self._moment(t), x=x, P=P, known=known, learned=self._learned(tail)
+        )
 
     @property
     def counts(self) -> NDArray[np.int64]:
@@ -118,9 +132,28 @@ class Engine:
         period = self._tables.period_ns
         return -(-t // period) * period if period else t
 
+    def _learned(self, entry: int) -> Learned:
+        """What has been learned by an entry of the history."""
+        kernel, tables = self._kernel, self.plan.tables
+        row = self._history.learned[entry * tables.learned : (entry + 1) * tables.learned]
+        memory = np.zeros((tables.S, kernel.MEMORY))
+        memory[:, kernel.FACTOR] = 1.0
+        for rank in np.flatnonzero(tables.memory >= 0):
+            memory[rank] = row[tables.memory[rank] : tables.memory[rank] + kernel.MEMORY]
+        counts = memory.astype(np.int64)
+        return Learned(
+            process=float(row[kernel.PROCESS]) if len(row) else 1.0,
+            noise=np.sqrt(memory[:, kernel.FACTOR]),
+            recovered=counts[:, kernel.RECOVERED],
+            judged=counts[:, kernel.JUDGED],
+            stood=counts[:, kernel.STOOD],
+            refused=counts[:, kernel.REFUSED],
+            standing=memory[:, kernel.STANDING] != 0,
+        )
+
     def _grow(self) -> None:
         old = self._history
-        new = empty_history(self._kernel, self.plan.tables.M, len(self.plan.sensors), 2 * old.capacity)
+        new = empty_history(self._kernel, self.plan.tables, 2 * old.capacity)
         for before, after in zip(old[1:], new[1:], strict=True):
             after[: len(before)] = before
         self._history = new

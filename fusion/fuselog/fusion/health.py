@@ -1,16 +1,18 @@
 """Health: what is wrong with a filter and why, as a pure function of its counters and the last rows of its track."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.engine import Estimate
+from fuselog.fusion.engine import Estimate, Learned
 from fuselog.fusion.events import Decision
 from fuselog.fusion.gate import chi_square_quantile
 from fuselog.fusion.intake import same_topic
+from fuselog.fusion.kernel.tables import Role
 from fuselog.fusion.ledger import Account, Ledger
 from fuselog.fusion.plan import Plan, SensorPlan
 from fuselog.fusion.shadow import GainHealth, gain_health
@@ -22,6 +24,8 @@ _REMEMBERED = 200  # samples of each sensor that health looks back on
 _FEWEST = 20  # samples before a statistic is judged
 _MOST_ABOVE = 0.2  # share of NIS above the 95 % quantile that is still called noise
 _MOST_LATE = 0.05  # share of late samples
+_COMPARED = 50  # samples of each of two sensors that measure the same
+_APART = 5.0  # standard deviations of their mean difference from which they disagree
 _SILENT_PERIODS = 10.0  # of a sensor's own period
 _SILENT_LEAST_S = 1.0
 
@@ -34,6 +38,7 @@ class Window(NamedTuple):
     nis: NDArray[np.float64]  # NaN where the sample was not tried
     dof: NDArray[np.int64]
     innovation: NDArray[np.float64]  # (n, M)
+    variance: NDArray[np.float64]  # (n, M) of the innovation
 
 
 Recent = tuple[Window, ...]  # by rank
@@ -91,8 +96,8 @@ class Health:
 
 def no_samples(plan: Plan) -> Recent:
     """The memory of a filter that has seen nothing."""
-    innovation = np.empty((0, plan.tables.M))
-    empty = Window(np.empty(0, np.int64), np.empty(0, np.uint8), np.empty(0), np.empty(0, np.int64), innovation)
+    table = np.empty((0, plan.tables.M))
+    empty = Window(np.empty(0, np.int64), np.empty(0, np.uint8), np.empty(0), np.empty(0, np.int64), table, table)
     return (empty,) * len(plan.sensors)
 
 
@@ -118,10 +123,14 @@ def assess(
             ledger[sensor.name],
             recent[sensor.rank],
             losses.get(same_topic(sensor.settings.topic), Losses()),
-            estimate.t_ns,
+            estimate,
         )
         for sensor in plan.sensors
     }
+    for name, reasons in _disagreements(plan, recent).items():
+        one = sensors[name]
+        wrong = (*(one.reasons if one.status == "degraded" else ()), *reasons)
+        sensors[name] = replace(one, status="degraded", reasons=wrong)
     finite = bool(np.isfinite(estimate.x[estimate.known]).all() and np.isfinite(estimate.P).all())
     positive = finite and _positive(estimate.P)
     own = [] if finite else ["the state is not finite"]
@@ -153,12 +162,14 @@ def _remember(window: Window, track: Track, rank: int) -> Window:
         nis=np.concatenate([window.nis, track.nis[mine]])[kept],
         dof=np.concatenate([window.dof, track.dof[mine]])[kept],
         innovation=np.concatenate([window.innovation, track.innovation[mine]])[kept],
+        variance=np.concatenate([window.variance, track.innovation_variance[mine]])[kept],
     )
 
 
 def _sensor(
-    plan: Plan, sensor: SensorPlan, account: Account, window: Window, losses: Losses, now_ns: int | None
+    plan: Plan, sensor: SensorPlan, account: Account, window: Window, losses: Losses, estimate: Estimate
 ) -> SensorHealth:
+    now_ns = estimate.t_ns
     valid = window.stamp_ns[~np.isin(window.decision, [d for d in Decision if d.invalid])]
     last = int(valid.max()) if len(valid) else None
     period = _period(valid)
@@ -176,7 +187,7 @@ def _sensor(
         topic=sensor.settings.topic,
         status="degraded" if wrong else "waiting" if waits else "ok",
         reasons=tuple(wrong or waits),
-        notes=tuple(_idle_gate(sensor, account)),
+        notes=(*_idle_gate(sensor, account), *_learned(sensor, estimate.learned)),
         account=account,
         losses=losses,
         nis=nis,
@@ -240,6 +251,77 @@ def _idle_gate(sensor: SensorPlan, account: Account) -> list[str]:
     if account.gated or expected < 10:
         return []
     return [f"the gate never fired in {account.fused} samples, {expected:.0f} were to be expected: noise too large?"]
+
+
+def _learned(sensor: SensorPlan, learned: Learned) -> list[str]:
+    """What the filter found out about the sensor."""
+    rank, settings = sensor.rank, sensor.settings
+    notes: list[str] = []
+    if settings.adapt:
+        notes.append(f"its noise is taken as {learned.noise[rank]:.2f} times what is stated")
+    if learned.recovered[rank]:
+        notes.append(f"gate recovered {learned.recovered[rank]} times: it had refused everything")
+    if settings.stationary and learned.judged[rank]:
+        stood, judged = learned.stood[rank], learned.judged[rank]
+        notes.append(f"stood still in {stood} of {judged} stretches" if stood else "has not stood still yet")
+        if learned.refused[rank]:
+            notes.append(f"{learned.refused[rank]} stretches looked like a standstill while the estimate moved")
+    return notes
+
+
+def _disagreements(plan: Plan, recent: Recent) -> dict[str, list[str]]:
+    """Reasons by sensor: pairs that measure the same, and whose innovations have long been apart."""
+    found: dict[str, list[str]] = {}
+    measuring = [s for s in plan.sensors if s.role == Role.MEASURES and s.settings.kind == "state"]
+    for a, b in combinations(measuring, 2):
+        for name in (name for name in a.names if name in b.names):
+            apart = _apart(*(_last(recent[s.rank], s.names.index(name)) for s in (a, b)))
+            if apart is not None:
+                reason = f"{a.name} and {b.name} disagree on {name} by {apart.difference:.3g} "
+                reason += f"({apart.sigmas:.0f} sigma) for {apart.samples} samples: slip, a scale or a bias?"
+                found.setdefault(a.name, []).append(reason)
+    return found
+
+
+class _Apart(NamedTuple):
+    difference: float  # of the means, in the number's unit
+    sigmas: float  # of that
+    samples: int  # of the sensor with fewer
+
+
+class _Last(NamedTuple):
+    """The last innovations of one number that were tried, and their variances."""
+
+    stamp_ns: NDArray[np.int64]
+    innovation: NDArray[np.float64]
+    variance: NDArray[np.float64]
+
+
+def _last(window: Window, number: int) -> _Last:
+    tried = np.flatnonzero(np.isfinite(window.variance[:, number]))[-_COMPARED:]
+    return _Last(window.stamp_ns[tried], window.innovation[tried, number], window.variance[tried, number])
+
+
+def _apart(a: _Last, b: _Last) -> _Apart | None:
+    """How far the means are apart, over the time that both cover; None where they may be the same.
+
+    Differences within one standard deviation of a single one are left alone, however long they last.
+    """
+    if min(len(a.stamp_ns), len(b.stamp_ns)) < _FEWEST:
+        return None
+    begin, end = max(a.stamp_ns.min(), b.stamp_ns.min()), min(a.stamp_ns.max(), b.stamp_ns.max())
+    inside = [(one.stamp_ns >= begin) & (one.stamp_ns <= end) for one in (a, b)]
+    samples = int(min(np.count_nonzero(keep) for keep in inside))
+    if samples < _FEWEST:
+        return None
+    means = [float(one.innovation[keep].mean()) for one, keep in zip((a, b), inside, strict=True)]
+    variances = [float(one.variance[keep].mean()) for one, keep in zip((a, b), inside, strict=True)]
+    counts = [int(np.count_nonzero(keep)) for keep in inside]
+    difference = means[0] - means[1]
+    sigmas = abs(difference) / float(np.sqrt(variances[0] / counts[0] + variances[1] / counts[1]))
+    if sigmas < _APART or abs(difference) < float(np.sqrt(sum(variances))):
+        return None
+    return _Apart(difference, sigmas, samples)
 
 
 def _nis(window: Window) -> NisHealth | None:

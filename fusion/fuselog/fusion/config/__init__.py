@@ -1,10 +1,12 @@
 """Configuration: what it may say, and reading it with a place for every problem."""
 
 from fuselog.fusion.config.settings import (
+    AdaptSettings,
     AgeSettings,
     Config,
     FieldSettings,
     GainSettings,
+    ProcessAdaptSettings,
     RangeSettings,
     SensorSettings,
     WalkSettings,
@@ -22,11 +24,13 @@ from fuselog.fusion.config.source import (
 )
 
 __all__ = [
+    "AdaptSettings",
     "AgeSettings",
     "Config",
     "FieldSettings",
     "GainSettings",
     "Problem",
+    "ProcessAdaptSettings",
     "RangeSettings",
     "SensorSettings",
     "Source",

@@ -30,12 +30,21 @@ class Settings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
+class ProcessAdaptSettings(Settings):
+    """One factor on the process noise and on the noise of inputs, learned from the innovations of all sensors."""
+
+    window: Annotated[int, Field(ge=2)] = Field(200, description="samples over which it is learned")
+    floor: Positive = Field(0.1, description="least factor on the densities")
+    ceiling: Positive = Field(10.0, description="greatest factor on the densities")
+
+
 class ModelSettings(Settings):
     """Which motion model, and its process noise as spectral densities (unit² / s), independent of the rate."""
 
     name: str = Field(description="one of fuselog's own, or my_robot.py:Tricycle, beside the configuration")
     process_noise: dict[str, NotNegative] = Field(default_factory=dict)
     parameters: dict[str, Finite] = Field(default_factory=dict, description="constants of the model, by name")
+    adapt: ProcessAdaptSettings | None = Field(None, description="learn one factor on all process noise")
 
 
 def _named(value: Any) -> Any:
@@ -187,6 +196,46 @@ class FieldSettings(Settings):
     )
 
 
+class RobustSettings(Settings):
+    """Samples that are far off count less, in place of a gate that refuses them."""
+
+    kind: Literal["huber", "student_t"] = Field(description="how the weight falls: by the distance, or its square")
+    threshold: Annotated[float, Field(gt=0, lt=1)] = Field(
+        0.95, description="huber: probability that a good sample keeps its whole weight"
+    )
+    dof: Positive = Field(4.0, description="student_t: the smaller, the heavier the tails of the noise")
+
+
+class AdaptSettings(Settings):
+    """A factor on the sensor's noise, learned from its innovations."""
+
+    window: Annotated[int, Field(ge=2)] = Field(50, description="samples over which it is learned")
+    floor: Positive = Field(0.5, description="least factor on the sd")
+    ceiling: Positive = Field(100.0, description="greatest factor on the sd")
+
+
+class GateRecoverySettings(Settings):
+    """How long a gate may refuse everything before the filter gives in."""
+
+    samples: Annotated[int, Field(ge=2)] = Field(20, description="refused in a row")
+    time: Annotated[Seconds, Field(ge=0)] = Field(0.0, description="and since the last that was fused")
+
+
+class StationarySettings(Settings):
+    """When a sensor's samples say that the body stands, and how surely velocity and turn rate are 0 then."""
+
+    window: Annotated[Seconds, Field(gt=0, le=60)] = Field(0.5, description="stretch that is judged as a whole")
+    gyro: Positive = Field(0.01, description="rad/s: most sd of each turn rate")
+    bias: Positive = Field(0.1, description="rad/s: most mean of each turn rate, which may be bias")
+    acceleration: Positive = Field(0.05, description="m/s²: most sd of each acceleration")
+    speed: Positive = Field(0.001, description="m/s: most sd and mean of each velocity")
+    velocity_sd: Positive = Field(0.01, description="m/s: sd of a velocity of 0")
+    turn_sd: Positive = Field(0.001, description="rad/s: sd of a turn rate of 0")
+    gate: Annotated[float, Field(gt=0, lt=1)] = Field(
+        0.9999, description="the estimate denies a standstill that is less probable than this leaves"
+    )
+
+
 class SensorSettings(Settings):
     """One stream of samples and what of it is fused."""
 
@@ -212,6 +261,10 @@ class SensorSettings(Settings):
     gate: Annotated[float, Field(gt=0, lt=1)] | None = Field(
         None, description="probability that a good sample passes (chi-square by its degrees of freedom)"
     )
+    gate_recovery: GateRecoverySettings | None = Field(None, description="end a lock-out; by default none ends")
+    robust: RobustSettings | None = Field(None, description="weigh far samples less, in place of a gate")
+    adapt: AdaptSettings | None = Field(None, description="learn the size of the noise")
+    stationary: StationarySettings | None = Field(None, description="tell from its samples when the body stands")
     mount: MountSettings | Literal["from_tf"] = MountSettings.model_validate({})
     frame: str | None = Field(None, description="from_tf: the sensor's frame; by default as the message says")
     hold: Literal["next", "previous"] = Field("next", description="input: holds after its stamp, or up to it")

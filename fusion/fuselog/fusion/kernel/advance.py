@@ -171,6 +171,8 @@ def move_result(tables: Tables, history: History, k: int, to: int) -> None:
     width = MARKS + tables.S * SENSOR_MARKS
     for i in range(width):
         history.marks[to * width + i] = history.marks[k * width + i]
+    for i in range(tables.learned):
+        history.learned[to * tables.learned + i] = history.learned[k * tables.learned + i]
     for i in range(tables.M):
         history.nu[to * tables.M + i] = history.nu[k * tables.M + i]
         history.S[to * tables.M + i] = history.S[k * tables.M + i]

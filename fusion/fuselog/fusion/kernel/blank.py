@@ -14,6 +14,7 @@ N = 1  # states
 LD = 4  # numbers from one row of P to the next
 X = 4  # numbers of x as it is kept: the states, and behind them the quaternion of a rotation
 U = 0  # inputs
+DENSITIES = 1  # of the process noise, the first numbers of q
 WIDTH = 1  # most states that one measured number depends on
 ANGLES = np.array([0], np.uint8)  # which states are angles
 ROTATION = -1  # where roll, pitch, yaw stand when they are kept as a quaternion

@@ -20,8 +20,9 @@ from fuselog.schemas.errors import FuselogError
 _HERE = Path(__file__).parent
 # the texts that are compiled together with a generated model, as one module that takes the model's names
 _COMPILED = ("layout", "innovation", "moments", "seeding", "gains", "correction", "step", "advance", "linear")
+_CAREFUL, _PLAIN = ("robust", "standstill"), ("plain",)  # the first where a sensor needs them, as they take time
 _SOURCES = (_HERE, _HERE.parent / "models")  # what a kernel is made of
-_OWN = {f"fuselog.fusion.kernel.{name}" for name in ("blank", *_COMPILED)}
+_OWN = {f"fuselog.fusion.kernel.{name}" for name in ("blank", *_COMPILED, *_CAREFUL, *_PLAIN)}
 _HEAD = '''"""Made by fuselog from the model {name}; delete freely."""
 
 import math
@@ -97,9 +98,12 @@ def model_card(declared: Declared) -> ModelCard:
     return card
 
 
-def kernel_module(declared: Declared, measured: Sequence[str]) -> ModuleType:
-    """The module with ``advance`` for a model and the quantities that its sensors measure, in this order."""
-    path = cache_folder() / _key(declared, *measured) / f"{declared.function}.py"
+def kernel_module(declared: Declared, measured: Sequence[str], *, careful: bool = False) -> ModuleType:
+    """The module with ``advance`` for a model and the quantities that its sensors measure, in this order.
+
+    ``careful``: for sensors that need more than a gate, see ``Care``.
+    """
+    path = cache_folder() / _key(declared, *measured, *(["careful"] if careful else [])) / f"{declared.function}.py"
     if not path.is_file():
         from fuselog.fusion.kernel.codegen import generate  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
         from fuselog.fusion.models.quantities import measurable  # noqa: PLC0415  the same
@@ -107,7 +111,7 @@ def kernel_module(declared: Declared, measured: Sequence[str]) -> ModuleType:
         model = declared.declare()
         available = measurable(model)
         generated = generate(model, {quantity: available[quantity] for quantity in measured})
-        _store(path, _HEAD.format(name=model.name) + _decorate(generated) + _filter_text())
+        _store(path, _HEAD.format(name=model.name) + _decorate(generated) + _filter_text(careful=careful))
     return _load(path)
 
 
@@ -115,10 +119,10 @@ def _decorate(generated: str) -> str:
     return generated.replace("\ndef ", "\n@inline\ndef ")
 
 
-def _filter_text() -> str:
+def _filter_text(*, careful: bool) -> str:
     """The compiled texts as one, without what they import from each other."""
     lines: list[str] = []
-    for name in _COMPILED:
+    for name in (*_COMPILED, *(_CAREFUL if careful else _PLAIN)):
         text = (_HERE / f"{name}.py").read_text()
         own = [node for node in ast.parse(text).body if isinstance(node, ast.ImportFrom) and node.module in _OWN]
         left_out = {line for node in own for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)}

@@ -69,6 +69,7 @@ def generate(model: Model, measured: Mapping[str, Expr]) -> str:
         f"LD = {_padded(n)}  # numbers from one row of P to the next",
         f"X = {_padded(stored)}  # numbers of x as it is kept",
         f"U = {len(model.inputs)}  # {' '.join(model.inputs) or 'no inputs'}",
+        f"DENSITIES = {len(model.noise)}  # of the process noise, the first numbers of q",
         f"WIDTH = {width}  # most states that one measured number depends on",
         f"ANGLES = np.array({[int(a) for a in model.angles]}, np.uint8)",
         f"ROTATION = {model.names.index(ROTATION[0]) if model.rotation else -1}  # where roll, pitch, yaw stand",

@@ -10,8 +10,8 @@ from fuselog.schemas.compiled import inline
 
 
 @inline
-def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int, modest: bool) -> None:
-    """x = x (+) G nu, and the covariance that belongs to this gain; ``modest`` as ``weigh`` found it."""
+def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
+    """x = x (+) G nu, and the covariance that belongs to this gain."""
     s, w, b = history.state, work.rows, k * ROW
     P = b + COVARIANCE
     row_scale(w, DELTA, w, G, work.nu[0], LD)
@@ -20,7 +20,7 @@ def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
     inject(s, b, w, DELTA)
     if not tables.covariance:
         return
-    if policy(tables, history, k, sensor) == OPTIMAL and modest:
+    if policy(tables, history, k, sensor) == OPTIMAL and work.modest[0]:
         take_outer(s, P, w, WHITE, w, WHITE, m, N, LD, True)
     else:
         joseph(tables, history, work, k, sensor, m)
@@ -41,7 +41,7 @@ def joseph(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
         for j in range(1, work.hn[a]):
             row_add(w, to, s, P + work.hi[a * WIDTH + j] * LD, work.hv[a * WIDTH + j], LD)
         for c in range(m):
-            R = history.R[k * M * M + work.active[a] * rows + work.active[c]]
+            R = work.factor[0] * history.R[k * M * M + work.active[a] * rows + work.active[c]]
             if R != 0.0:
                 row_add(w, to, w, G + c * LD, -R, LD)
     take_outer(s, P, w, G, w, JOSEPH, m, N, LD, True)

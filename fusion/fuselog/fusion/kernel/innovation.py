@@ -56,26 +56,26 @@ def innovate(tables: Tables, history: History, work: Work, k: int, sensor: int, 
 
 
 @inline
-def weigh(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
-    """S = H P H' + R (its lower triangle), and the rows of H P (Bezmen 2019, eq. 28).
+def weigh(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
+    """S = H P H' + R (its lower triangle), R times its factor, and the rows of H P (Bezmen 2019, eq. 28).
 
-    Returns whether P - (L^-1 H P)' (L^-1 H P), which Joseph's form is for the optimal gain, is as exact as the long:
-    it shrinks P in no direction by more than the sum of S/R where R is diagonal, and loses as many digits.
+    Also says in ``work.modest`` whether P - (L^-1 H P)' (L^-1 H P), which Joseph's form is for the optimal gain, is as
+    exact as the long: it shrinks P in no direction by more than the sum of S/R where R is diagonal, and loses as many digits.
     """
     M, rows, modest = tables.M, tables.rows[sensor], True
     project(work, history.state, k * ROW + COVARIANCE, m)
     for a in range(m):
         line = k * M * M + work.active[a] * rows
         for c in range(a):
-            R = history.R[line + work.active[c]]
+            R = work.factor[0] * history.R[line + work.active[c]]
             work.S[a * m + c] = spread(work, HP, a, c) + R
             modest &= R == 0.0
-        own = history.R[line + work.active[a]]
+        own = work.factor[0] * history.R[line + work.active[a]]
         S = spread(work, HP, a, a) + own
         work.S[a * m + a] = S
         modest &= MODEST * own >= S
         history.S[k * M + work.active[a]] = S
-    return modest
+    work.modest[0] = modest
 
 
 @inline

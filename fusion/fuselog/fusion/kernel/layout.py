@@ -19,6 +19,15 @@ SCRATCH = DELTA + LD
 BEGUN, VARIANT, ACQUIRING, MARKS = 0, 1, 2, 3  # a row of marks: these, and behind them for each sensor
 LAST, STREAK, SENSOR_MARKS = 0, 1, 2  # the moment it was last fused, and how many samples it had gated since
 
+PROCESS, LEARNED = 0, 1  # a row of what is learned: this, and behind it the memories of some sensors
+FACTOR, SEEN, RECOVERED = 0, 1, 2  # a memory: factor on R, learned of how many; forced openings of the gate
+COUNT, AGE = 3, 4  # samples of the stretch that is looked at for a standstill, and its length in ns
+JUDGED, STANDING, STOOD, REFUSED = 5, 6, 7, 8  # stretches, whether the last was still, how many were, against the state
+MEMORY = 9  # where a stretch's means begin, and behind them its sums of squares
+# a sensor's row of ``Tables.tuning``
+FADING, LEAST, GREATEST, PATIENCE, WAIT, TAIL, SPAN, SURE, SLOW, STRAIGHT, TUNING = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10
+HUBER, STUDENT_T, LEARNS, RECOVERS, STANDS, TEACHES = 1, 2, 4, 8, 16, 32  # of Care
+
 # literals that kernels compare with: Decision, Role, Gain, Missing and Condition by number
 FUSED, GATED, LATE, DUPLICATE, BAD_COVARIANCE, UNINITIALISED, SKIPPED, UNDECIDED = 0, 1, 2, 3, 8, 9, 10, 255
 MEASURES, DRIVES_NEXT, DRIVES_PREVIOUS = 0, 1, 2

@@ -7,16 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.kernel.rotations import quaternions_from_rpy
-from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Linear, Rows, Work
+from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Linear, Rows, Tables, Work
 
 Floats = NDArray[np.float64]
 
 
 def begin_history(
-    kernel: ModuleType, M: int, sensors: int, capacity: int, x: Floats, P: Floats, known: NDArray[np.bool_], u: Floats
+    kernel: ModuleType,
+    tables: Tables,
+    capacity: int,
+    x: Floats,
+    P: Floats,
+    known: NDArray[np.bool_],
+    u: Floats,
 ) -> History:
     """A history that holds one state only, at no time yet; ``u`` is the input and its noise densities (2 U,)."""
-    history = empty_history(kernel, M, sensors, capacity)
+    history, sensors = empty_history(kernel, tables, capacity), tables.S
     N, LD = kernel.N, kernel.LD
     history.state[:N] = x
     if kernel.ROTATION >= 0:
@@ -27,14 +33,17 @@ def begin_history(
     history.state[kernel.KNOWN : kernel.KNOWN + N] = known
     marks = history.marks[: kernel.MARKS + sensors * kernel.SENSOR_MARKS]
     marks[kernel.MARKS + kernel.LAST :: kernel.SENSOR_MARKS] = NEVER
+    if tables.learned:
+        history.learned[kernel.PROCESS] = 1.0
+        history.learned[tables.memory[tables.memory >= 0] + kernel.FACTOR] = 1.0
     history.cursor[:] = 0, 0, NEVER
     history.t[0] = NEVER
     return history
 
 
-def empty_history(kernel: ModuleType, M: int, sensors: int, capacity: int) -> History:
+def empty_history(kernel: ModuleType, tables: Tables, capacity: int) -> History:
     """Room for ``capacity`` entries, all 0."""
-    C = capacity
+    C, M, sensors = capacity, tables.M, tables.S
     return History(
         capacity=C,
         cursor=np.zeros(3, np.int64),
@@ -46,6 +55,7 @@ def empty_history(kernel: ModuleType, M: int, sensors: int, capacity: int) -> Hi
         z=np.zeros(C * (M + SAMPLE_WIDTH)),
         R=np.zeros(C * M * M),
         marks=np.zeros(C * (kernel.MARKS + sensors * kernel.SENSOR_MARKS), np.int64),
+        learned=np.zeros(C * tables.learned),
         state=np.zeros(C * kernel.ROW),
         nis=np.zeros(C),
         dof=np.zeros(C, np.int64),
@@ -55,8 +65,9 @@ def empty_history(kernel: ModuleType, M: int, sensors: int, capacity: int) -> Hi
     )
 
 
-def scratch(kernel: ModuleType, M: int, sensors: int) -> Work:
+def scratch(kernel: ModuleType, tables: Tables) -> Work:
     """What one step works with."""
+    M = tables.M
     return Work(
         rows=np.zeros(kernel.SCRATCH),
         S=np.zeros(M * M),
@@ -67,7 +78,10 @@ def scratch(kernel: ModuleType, M: int, sensors: int) -> Work:
         hi=np.zeros((M + 1) * kernel.WIDTH, np.int64),
         hn=np.zeros(M + 1, np.int64),
         active=np.zeros(M, np.int64),
-        here=np.zeros(sensors, np.int64),
+        factor=np.ones(1),
+        modest=np.zeros(1, np.int64),
+        q=tables.q.copy(),
+        here=np.zeros(tables.S, np.int64),
     )
 
 

@@ -1,6 +1,6 @@
 """The filter: one sample applied to one state. Compiled together with the model that takes the place of ``blank``.
 
-predict -> innovate -> weigh -> gate -> gain -> correct, over flat rows. Covariance is Joseph's form, for any gain:
+predict -> innovate -> weigh -> accept -> gain -> correct, over flat rows. Covariance is Joseph's form, for any gain:
 P = (I - G H) P (I - G H)' + G R G' (Bezmen 2019 holds eq. 26 only for the optimal gain). Whatever moves P leaves it
 exactly symmetric.
 """
@@ -28,8 +28,10 @@ from fuselog.fusion.kernel.layout import (
     UNINITIALISED,
 )
 from fuselog.fusion.kernel.moments import choose, marks_at, moment
+from fuselog.fusion.kernel.robust import accept, disturb, noise_factor, remember, undisturb
 from fuselog.fusion.kernel.rows import row_copy
 from fuselog.fusion.kernel.seeding import all_known, level, ready, seed
+from fuselog.fusion.kernel.standstill import stand
 from fuselog.fusion.kernel.tables import NEVER, History, Tables, Work
 from fuselog.schemas.compiled import inline
 
@@ -53,6 +55,7 @@ def step(tables: Tables, history: History, work: Work, k: int) -> None:
         history.decision[k] = FUSED
     else:
         history.decision[k] = correct(tables, history, work, k, sensor)
+    stand(tables, history, work, k, sensor)
     mark(tables, history, k, sensor)
 
 
@@ -69,12 +72,15 @@ def carry(tables: Tables, history: History, work: Work, k: int, role: int) -> No
         history.marks[k * width + i] = history.marks[(k - 1) * width + i]
     before = history.t[k - 1]
     elapsed = 0 if before == NEVER else moment(tables, history.t[k]) - moment(tables, before)
+    remember(tables, history, k, elapsed)
     if elapsed == 0:
         row_copy(s, b, s, a, X)
         for i in range(LD):
             row_copy(s, b + COVARIANCE + i * LD, s, a + COVARIANCE + i * LD, LD)
     elif tables.covariance:
-        predict(s, a, b, elapsed * 1e-9, tables.q, work.rows)
+        q = disturb(tables, history, work, k)
+        predict(s, a, b, elapsed * 1e-9, q, work.rows)
+        undisturb(tables, history, work, k)
     else:
         move(s, a, b, elapsed * 1e-9, tables.q)
 
@@ -104,18 +110,17 @@ def correct(tables: Tables, history: History, work: Work, k: int, sensor: int) -
     if not has_vote(tables, history, work, k, sensor):
         return SKIPPED
     innovate(tables, history, work, k, sensor, m)
-    modest = False
     if tables.covariance:
-        modest = weigh(tables, history, work, k, sensor, m)
+        work.factor[0] = noise_factor(tables, history, k, sensor)
+        weigh(tables, history, work, k, sensor, m)
         if not cholesky(work.S, work.L, m):
             return BAD_COVARIANCE
-        nis = mahalanobis(work, m)
-        history.nis[k], history.dof[k] = nis, m
-        if not nis <= tables.threshold[sensor * tables.M + m - 1]:
+        history.nis[k], history.dof[k] = mahalanobis(work, m), m
+        if not accept(tables, history, work, k, sensor, m):
             return GATED
     if not gain(tables, history, work, k, sensor, m):
         return BAD_COVARIANCE
-    update(tables, history, work, k, sensor, m, modest)
+    update(tables, history, work, k, sensor, m)
     return FUSED
 
 

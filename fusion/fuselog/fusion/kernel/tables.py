@@ -1,6 +1,6 @@
 """A configuration and a filter's memory as plain arrays: all that a kernel sees of either."""
 
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +40,17 @@ class Missing(IntEnum):
     RENORMALIZE = 1  # the others take it
     RESCALE = 2  # the others take what they would if the sensor did not exist
     SKIP = 3  # the cycle is left out
+
+
+class Care(IntFlag):
+    """What is done with a sensor's samples besides fusing them or not."""
+
+    HUBER = 1  # far ones weigh less, by the square root of their NIS
+    STUDENT_T = 2  # far ones weigh less, by their NIS
+    LEARNS = 4  # the size of its noise is learned
+    RECOVERS = 8  # its gate lets in what it has long refused
+    STANDS = 16  # it says when the body stands
+    TEACHES = 32  # it teaches the size of the process noise
 
 
 class Condition(IntEnum):
@@ -90,6 +101,14 @@ class Tables(NamedTuple):
     scaled: int  # whether the fixed gain is formed with ``scales`` in place of P
     scales: Floats  # (N,) standard deviations
     q: Floats  # (K,) process noise densities, then the model's parameters
+    care: Ints  # (S,) of Care; 0 for a sensor that is only gated
+    learned: int  # numbers in a row of ``History.learned``; 0 where nothing is learned
+    memory: Ints  # (S,) where the sensor's memory begins in it, or -1
+    tuning: Floats  # (S, TUNING + M + 2 M) numbers in ``layout``'s order, then Huber's NIS of 1 to M numbers, then
+    # the most that the sd and the absolute mean of each number may be while the body stands
+    process: Floats  # (3,) share of a sample in the learned process noise (0: off), least and greatest factor on it
+    stills: int  # what a standstill tells, of all sensors
+    still: Ints  # (stills, 4) sensor, state, the number whose mean that then is or -1 for 0, place of the variance
     window_ns: int  # how late a sample may be
 
 
@@ -109,6 +128,7 @@ class History(NamedTuple):
     z: Floats  # (C, M + SAMPLE_WIDTH)
     R: Floats  # (C, M * M)
     marks: Ints  # (C, MARKS + S * SENSOR_MARKS) what is remembered besides the state
+    learned: Floats  # (C, learned) factors on noises, and stretches that may be standstills
     state: Floats  # (C, ROW)
     nis: Floats  # (C,)
     dof: Ints  # (C,)
@@ -141,6 +161,9 @@ class Work(NamedTuple):
     hi: Ints  # (M + 1, WIDTH) the states that they belong to
     hn: Ints  # (M + 1,) how many
     active: Ints  # (M,) the numbers that take part in this update
+    factor: Floats  # (1,) on R of the sample at hand
+    modest: Ints  # (1,) whether the short form of the covariance will do for it
+    q: Floats  # (K,) q with the process noise as it is learned
     here: Ints  # (S,) the last entry of each sensor in the moment, or -1
 
 

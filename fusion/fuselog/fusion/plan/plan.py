@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from fuselog.fusion.kernel.declared import Declared, ModelError, find_model, kno
 from fuselog.fusion.kernel.tables import Role, Tables
 from fuselog.fusion.plan.gains import gain_tables
 from fuselog.fusion.plan.keys import check_keys, check_shared
+from fuselog.fusion.plan.robust import robust_tables
 from fuselog.fusion.plan.sensors import FORCE, SensorPlan, plan_sensor, quantity_of
 from fuselog.fusion.plan.states import check_levers, sensor_states, walks
 from fuselog.fusion.plan.steady import Lag, check_frozen, check_rates, settle_gains
@@ -34,6 +36,11 @@ class Plan:
     x: NDArray[np.float64]  # (N,) initial state
     P: NDArray[np.float64]  # (N, N) initial covariance
     known: NDArray[np.bool_]  # (N,) which states are given; the others wait for their first measurement
+
+    @property
+    def kernel(self) -> ModuleType:
+        """The compiled filter."""
+        return kernel_module(self.model, self.measured, careful=bool(self.tables.care.any()))
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -82,6 +89,7 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
     measured: list[str] = []
     rows = [_rows(sensor, card, measured) for sensor in sensors]
     gains = gain_tables(config, card, sensors, rows, problems)
+    robust = robust_tables(config, card, sensors, gains["gain"], problems)
     problems += check_rates(config, card, sensors)
     problems += _check_without_covariance(config)
     # What is missing may be what is wrong: nothing is said of a place below which there is a known problem.
@@ -113,8 +121,9 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         q=_constants(config, card, {state: each.drift**2 for state, (each, _) in walk.items()}),
         window_ns=round(config.lag.window * 1e9),
         **gains,
+        **robust,
     )
-    kernel = kernel_module(model, measured)
+    kernel = kernel_module(model, measured, careful=bool(tables.care.any()))
     problems += check_frozen(config, x, card, sensors, tables, kernel, P)
     settled = settle_gains(config, x, card, sensors, tables, kernel)
     if isinstance(settled, Problem):
@@ -153,9 +162,14 @@ def _check_names(config: Config, card: ModelCard, noise: Sequence[str], states: 
 
 
 def _check_without_covariance(config: Config) -> list[Problem]:
-    gated = [name for name, sensor in config.sensors.items() if sensor.gate is not None]
-    reason = "needs the covariance, and gain.covariance is none"
-    return [Problem(("sensors", name, "gate"), reason) for name in gated if config.gain.covariance == "none"]
+    if config.gain.covariance != "none":
+        return []
+    keys = ("gate", "robust", "adapt", "stationary")
+    places: list[tuple[str, ...]] = [
+        ("sensors", name, key) for name, s in config.sensors.items() for key in keys if getattr(s, key) is not None
+    ]
+    places += [("model", "adapt")] if config.model.adapt else []
+    return [Problem(place, "needs the covariance, and gain.covariance is none") for place in places]
 
 
 def _rows(sensor: SensorPlan, card: ModelCard, measured: list[str]) -> list[tuple[int, int]]:

@@ -181,7 +181,7 @@ class Nominal:
             if sensor.role != Role.MEASURES:
                 u[kernel.U :] = [sensor.settings.noise.get(name, 0.0) ** 2 for name in sensor.names]
         N, self._sensors, self._tables, self._kernel = len(x), sensors, tables, kernel
-        self._history = begin_history(kernel, tables.M, len(sensors), 2, x, np.eye(N), np.ones(N, bool), u)
+        self._history = begin_history(kernel, tables, 2, x, np.eye(N), np.ones(N, bool), u)
         self._moves: dict[Fraction, tuple[Floats, Floats]] = {}
         self._seen: dict[int, Floats] = {}
 
@@ -198,7 +198,7 @@ class Nominal:
         """H (m, N) of a sensor."""
         M, N = self._tables.M, int(self._kernel.N)
         if rank not in self._seen:
-            linear, work = blank_linear(self._kernel, M), scratch(self._kernel, M, len(self._sensors))
+            linear, work = blank_linear(self._kernel, M), scratch(self._kernel, self._tables)
             self._kernel.observation(self._tables, self._history, work, linear, 0, rank)
             self._seen[rank] = linear.H.reshape(M, N)[: self._sensors[rank].dof]
         return self._seen[rank]

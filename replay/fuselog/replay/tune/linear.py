@@ -13,7 +13,6 @@ from fuselog.fusion import Plan
 from fuselog.fusion.config import Problem, did_you_mean
 from fuselog.fusion.design import DesignError, Step, UndetectableError, check_detectable, check_stable, make_step
 from fuselog.fusion.design import period_map as error_map
-from fuselog.fusion.kernel.cache import kernel_module
 from fuselog.fusion.plan.steady import Nominal, make_round
 from fuselog.replay.tune.observed import Observed, measuring_sensors
 
@@ -120,7 +119,7 @@ def _full_steps(plan: Plan, seen: Observed, order: Order) -> list[Step]:
     tables = plan.tables._replace(sensor=plan.tables.sensor.copy())
     for rank, lever in seen.levers.items():
         tables.sensor[rank * 7 : rank * 7 + 3] = lever
-    kernel = kernel_module(plan.model, plan.measured)
+    kernel = plan.kernel
     nominal = Nominal(seen.nominal, plan.x, plan.card, plan.sensors, tables, kernel)
     R = {sensor.rank: seen.noise[sensor.name] for sensor in measuring_sensors(plan)}
     return [make_step(*nominal.move(dt), nominal.seen(rank), R[rank]) for dt, rank in order]
