@@ -60,7 +60,7 @@ def weigh(tables: Tables, history: History, work: Work, k: int, sensor: int, m: 
     """S = H P H' + R (its lower triangle), R times its factor, and the rows of H P (Bezmen 2019, eq. 28).
 
     Also says in ``work.modest`` whether P - (L^-1 H P)' (L^-1 H P), which Joseph's form is for the optimal gain, is as
-    exact as the long: it shrinks P in no direction by more than the sum of S/R where R is diagonal, and loses as many digits.
+    exact as the long: it shrinks P in no direction by more than the sum of S/R where R is diagonal, and loses no more.
     """
     M, rows, modest = tables.M, tables.rows[sensor], True
     project(work, history.state, k * ROW + COVARIANCE, m)
