@@ -23,22 +23,26 @@ fuselog: 1
 model: {name: unicycle}
 sensors:
   odom: {topic: odom, fuse: [x, y, yaw, v], noise: {x: 1, y: 1, yaw: 1, v: 1}, gate: 0.99}
+smooth: {lag: 0.5, rate: 2}
 \"\"\"))
 warm_up(plan)
 before = signatures()
 kind = "nav_msgs/msg/Odometry"
 encoder = CdrEncoder(kind, definition(kind), columns=["pose.pose.orientation.w"])
-payload = encoder.encode(np.array([10**18]), np.ones((1, 1)))[0].tobytes()
+times = [10**18 + k * 10**9 for k in range(4)]
+payloads = [encoder.encode(np.array([t]), np.ones((1, 1)))[0].tobytes() for t in times]
 filter = Filter(plan, order="as_received")
 filter.intake.open(0, Stream(topic="odom", encoding="cdr", schema_name=kind, schema_encoding="ros2msg",
                              schema_text=definition(kind)))
-track = filter.feed(_messages([(0, 10**18, 1)], [payload]))
-Outputs(plan).encode(track)
-print(json.dumps({"fused": filter.ledger["odom"].fused, "new": sorted(set(signatures()) - set(before))}))
+track = filter.feed(_messages([(0, t, 1 + k) for k, t in enumerate(times)], payloads))
+smoothed = filter.smoothed()
+Outputs(plan).encode(track, smoothed)
+new = sorted(set(signatures()) - set(before))
+print(json.dumps({"fused": filter.ledger["odom"].fused, "smoothed": len(smoothed), "new": new}))
 """
 
 
 def test_warm_up_compiles_everything() -> None:
     """In a process of its own, so that no other test has warmed anything."""
     done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True, timeout=300)
-    assert json.loads(done.stdout) == {"fused": 1, "new": []}
+    assert json.loads(done.stdout) == {"fused": 4, "smoothed": 1, "new": []}

@@ -42,6 +42,7 @@ _SECTIONS = {  # first cell of a table's head, or the heading above it: whose ke
     "states": settings.StatesSettings,
     "field": settings.FieldSettings,
     "output": settings.OutputSettings,
+    "smooth": settings.SmoothSettings,
     "zenoh": settings.ZenohSettings,
     "http": settings.HttpSettings,
 }

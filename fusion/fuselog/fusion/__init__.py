@@ -8,6 +8,7 @@ from fuselog.fusion.intake import Stream
 from fuselog.fusion.ledger import Account, Ledger
 from fuselog.fusion.outputs import Output, Outputs
 from fuselog.fusion.plan import Plan, compile_plan, load_plan
+from fuselog.fusion.smoothing import FixedInterval, FixedLag, with_optimal_gain
 from fuselog.fusion.track import Track, join_tracks
 
 __all__ = [
@@ -18,6 +19,8 @@ __all__ = [
     "Estimate",
     "Events",
     "Filter",
+    "FixedInterval",
+    "FixedLag",
     "Learned",
     "Ledger",
     "Order",
@@ -32,4 +35,5 @@ __all__ = [
     "load_config",
     "load_plan",
     "parse_config",
+    "with_optimal_gain",
 ]

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Events
-from fuselog.fusion.kernel.memory import begin_history, blank_rows, empty_history, rest_input, scratch
-from fuselog.fusion.kernel.tables import DECISIONS, NEVER, History, Samples
+from fuselog.fusion.kernel.memory import begin_history, blank_rows, compact_history, empty_history, rest_input, scratch
+from fuselog.fusion.kernel.tables import DECISIONS, NEVER, History, Rows, Samples
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.track import Track
 
@@ -70,30 +70,11 @@ class Engine:
 
     def advance(self, events: Events) -> Track:
         """Apply the events, in the order given, and return a row for each."""
-        n, M, N = events.size, self.plan.tables.M, len(self.plan.states)
-        packed = N * (N + 1) // 2
-        rows = blank_rows(self._kernel, n, M)
-        samples = Samples(n, *(np.ascontiguousarray(column).reshape(-1) for column in events[:6]))
-        done = 0
+        n, done = events.size, 0
+        rows, samples = blank_rows(self._kernel, n, self.plan.tables.M), make_samples(events)
         while (done := self._kernel.advance(self._tables, self._history, self._work, samples, done, rows)) < n:
             self._grow()
-        return Track(
-            states=self.plan.states,
-            sensors=tuple(sensor.name for sensor in self.plan.sensors),
-            t_ns=rows.t_ns,
-            stamp_ns=events.t_ns,
-            arrival_ns=events.arrival_ns,
-            sensor=events.sensor,
-            seq=events.seq,
-            decision=rows.decision,
-            nis=rows.nis,
-            dof=rows.dof,
-            x=rows.x[: n * N].reshape(n, N),
-            P=rows.P[: n * packed].reshape(n, packed),
-            innovation=rows.nu.reshape(n, M),
-            innovation_variance=rows.S.reshape(n, M),
-            absorbed=rows.absorbed.reshape(n, M),
-        )
+        return make_track(self.plan, events, rows)
 
     def place(self, rank: int, lever: NDArray[np.float64]) -> None:
         """Say where a sensor is (m, body axes), before any of its samples are applied."""
@@ -120,11 +101,11 @@ class Engine:
 
     def snapshot(self) -> Snapshot:
         """Everything remembered, as copies."""
-        return Snapshot(_copy(self._history), self._tables.sensor.copy())
+        return Snapshot(compact_history(self._history), self._tables.sensor.copy())
 
     def restore(self, snapshot: Snapshot) -> None:
         """Go back to a snapshot of an engine with the same plan."""
-        self._history = _copy(snapshot.history)
+        self._history = compact_history(snapshot.history)
         self._tables.sensor[:] = snapshot.sensor
 
     def _moment(self, t: int) -> int:
@@ -159,5 +140,29 @@ class Engine:
         self._history = new
 
 
-def _copy(history: History) -> History:
-    return History(history.capacity, *(column.copy() for column in history[1:]))
+def make_samples(events: Events) -> Samples:
+    """Events as a kernel takes them."""
+    return Samples(events.size, *(np.ascontiguousarray(column).reshape(-1) for column in events[:6]))
+
+
+def make_track(plan: Plan, events: Events, rows: Rows) -> Track:
+    """What a kernel wrote for the events; shares the memory of ``rows``."""
+    n, M, N = events.size, plan.tables.M, len(plan.states)
+    packed = N * (N + 1) // 2
+    return Track(
+        states=plan.states,
+        sensors=tuple(sensor.name for sensor in plan.sensors),
+        t_ns=rows.t_ns,
+        stamp_ns=events.t_ns,
+        arrival_ns=events.arrival_ns,
+        sensor=events.sensor,
+        seq=events.seq,
+        decision=rows.decision,
+        nis=rows.nis,
+        dof=rows.dof,
+        x=rows.x[: n * N].reshape(n, N),
+        P=rows.P[: n * packed].reshape(n, packed),
+        innovation=rows.nu.reshape(n, M),
+        innovation_variance=rows.S.reshape(n, M),
+        absorbed=rows.absorbed.reshape(n, M),
+    )

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.events import Decision
 from fuselog.fusion.kernel.tables import NEVER
 from fuselog.fusion.odometry import Odometry
 from fuselog.fusion.plan import Plan
-from fuselog.fusion.track import Track, join_tracks
+from fuselog.fusion.track import Track, join_tracks, moved, period_ns
 from fuselog.schemas import CdrEncoder, Messages, definition
 
 ESTIMATE, ODOMETRY, DECISION = (
@@ -40,7 +39,7 @@ class Outputs:
 
     ``<estimate>`` carries the state after every sample that moved it, from when every state is known,
     ``<estimate>/odometry`` the same as a pose for models that have one, ``<estimate>/decision`` what became of every
-    sample. Streams are numbered as ``topics``.
+    sample, ``<estimate>/smoothed`` what fixed-lag smoothing gave. Streams are numbered as ``topics``.
     With ``output.rate``, of the estimates in a period of event time only the last is published, when the first one
     after the period is there. How a track is cut into batches makes no difference.
     """
@@ -52,13 +51,15 @@ class Outputs:
         self.topics = [Output(base, ESTIMATE), Output(f"{base}/decision", DECISION)]
         if plan.card.has_pose:
             self.topics.append(Output(f"{base}/odometry", ODOMETRY))
+        if plan.config.smooth is not None:
+            self.topics.append(Output(f"{base}/smoothed", ESTIMATE))
         self._estimate = _estimate_encoder(plan)
         self._odometry = _odometry_encoder(plan) if plan.card.has_pose else None
         self._odometry_values = Odometry(plan.states, rotates=plan.card.rotates).values
         self._decisions = [_decision_encoder(s.name, s.dof, plan.config.output.frame) for s in plan.sensors]
 
-    def encode(self, track: Track) -> Messages:
-        """The messages of the next rows of a track: estimate, decision, odometry of each row.
+    def encode(self, track: Track, smoothed: Track | None = None) -> Messages:
+        """The messages of the next rows of a track: estimate, decision, odometry of each row; then those smoothed.
 
         ``log_time`` is the time of the estimate, or where nothing was estimated yet, the stamp of the sample.
         """
@@ -70,6 +71,8 @@ class Outputs:
             stamps = np.clip(track.stamp_ns[mine], 0, _LAST_STAMP)
             times = np.where(track.t_ns[mine] == NEVER, stamps, track.t_ns[mine])
             jobs.append(_Job(1, mine, encoder, stamps, values, times))
+        if smoothed is not None:
+            jobs.append(self._smoothed_job(smoothed.take(moved(smoothed)), len(track)))
         return _encode(jobs)
 
     def finish(self) -> Messages:
@@ -90,17 +93,19 @@ class Outputs:
             jobs.append(_Job(2, rows, self._odometry, due.t_ns, values, due.t_ns))
         return jobs
 
+    def _smoothed_job(self, track: Track, row: int) -> "_Job":
+        stream, rows = len(self.topics) - 1, np.full(len(track), row)
+        return _Job(stream, rows, self._estimate, track.t_ns, np.concatenate([track.x, track.P], axis=1), track.t_ns)
+
     def _due(self, track: Track) -> tuple[Track, NDArray[np.int64]]:
         """The estimates to publish, and the row of the track at which each is published."""
-        tried = (track.decision == Decision.GATED) & (track.dof > 0)  # not refused before the filter saw it
-        moved = ((track.decision == Decision.FUSED) | tried) & (track.t_ns != NEVER)
-        rows = np.flatnonzero(moved & np.isfinite(track.x).all(axis=1))
+        rows = moved(track)
         rate = self._plan.config.output.rate
         if rate is None or len(rows) == 0:
             return track if len(rows) == len(track) else track.take(rows), rows
         waiting = [] if self._waiting is None else [self._waiting]
         moments = np.concatenate([*(each.t_ns for each in waiting), track.t_ns[rows]])
-        period = moments // max(1, round(1e9 / rate))
+        period = moments // period_ns(rate)
         ends = np.flatnonzero(period[1:] != period[:-1]) - len(waiting)  # -1 is the one that waits
         due = track.take(rows[ends[ends >= 0]])
         self._waiting = track.take(rows[-1:])

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision
+from fuselog.fusion.kernel.tables import NEVER
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,3 +79,15 @@ def unpack(packed: NDArray[np.float64], n: int) -> NDArray[np.float64]:
     full = np.zeros((n, n))
     full[np.triu_indices(n)] = packed
     return full + np.triu(full, 1).T
+
+
+def moved(track: Track) -> NDArray[np.int64]:
+    """The rows whose sample moved the estimate, from when every state is known: those worth publishing."""
+    tried = (track.decision == Decision.GATED) & (track.dof > 0)  # not refused before the filter saw it
+    used = ((track.decision == Decision.FUSED) | tried) & (track.t_ns != NEVER)
+    return np.flatnonzero(used & np.isfinite(track.x).all(axis=1))
+
+
+def period_ns(rate: float) -> int:
+    """The period of a rate (Hz)."""
+    return max(1, round(1e9 / rate))

@@ -4,7 +4,7 @@ from fuselog.replay.channels import Channel, Schema
 from fuselog.replay.decompress import Limits
 from fuselog.replay.log import Log, RawMessage, open_log
 from fuselog.replay.loss import Loss
-from fuselog.replay.reprocess import Summary, reprocess, reprocess_to
+from fuselog.replay.reprocess import Summary, reprocess, reprocess_to, smooth_to
 from fuselog.replay.tracks import TrackWriter, is_output
 from fuselog.replay.writer import LogWriter
 
@@ -22,4 +22,5 @@ __all__ = [
     "open_log",
     "reprocess",
     "reprocess_to",
+    "smooth_to",
 ]

@@ -56,7 +56,7 @@ def read_events(log: Log, plan: Plan) -> Sampled:
     for sensor in plan.sensors if batches else ():
         mine = [
             events.take(np.flatnonzero((events.sensor == sensor.rank) & (events.fault == Decision.FUSED)))
-            for events, _ in batches
+            for events in (taken.events for taken in batches)
         ]
         samples[sensor.name] = join(mine)
     return Sampled(samples, levers)

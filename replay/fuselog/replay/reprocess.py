@@ -17,6 +17,7 @@ from fuselog.replay.ahead import ahead
 from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log, open_log
 from fuselog.replay.loss import Loss
+from fuselog.replay.smoothing import smoothed, smoothing_plan
 from fuselog.replay.tracks import TrackWriter, is_output
 from fuselog.schemas import Messages
 
@@ -37,6 +38,7 @@ class Summary:
     ledger: dict[str, dict[str, Any]]
     final: dict[str, Any]
     sha256: str
+    smoothed: bool
     losses: list[Loss]
 
     @property
@@ -55,59 +57,114 @@ class Summary:
             "ledger": self.ledger,
             "final": self.final,
             "sha256": self.sha256,
+            "smoothed": self.smoothed,
             "losses": losses,
         }
 
 
-def reprocess(log: Log | str | Path, config: Plan | str | Path, *, order: Order | None = None) -> Track:
-    """The whole track of a log, in memory; ``config`` is a plan or a file. Raises ``LogError`` and ``ConfigError``."""
+def reprocess(
+    log: Log | str | Path, config: Plan | str | Path, *, order: Order | None = None, smooth: bool = False
+) -> Track:
+    """The whole track of a log, in memory; ``config`` is a plan or a file. Raises ``LogError`` and ``ConfigError``.
+
+    ``smooth``: every estimate knows the whole log; in the order of stamps and with the optimal gain, whatever the
+    configuration says.
+    """
     plan = config if isinstance(config, Plan) else load_plan(config)
     if not isinstance(log, Log):
         with open_log(log) as opened:
-            return reprocess(opened, plan, order=order)
+            return reprocess(opened, plan, order=order, smooth=smooth)
+    if smooth:
+        filter = Filter(smoothing_plan(plan), order="by_stamp")
+        return join_tracks(list(smoothed((taken for _, taken in _prepared(log, filter)), filter)))
     return join_tracks([track for _, track in run(log, Filter(plan, order=order or plan.config.lag.order))])
 
 
 def run(log: Log, filter: Filter) -> Iterator[tuple[int, Track]]:
-    """Feed a log to a filter, a chunk at a time; yields (messages fed, rows), the held rows at the end.
+    """Feed a log to a filter, a chunk at a time; yields (messages fed, rows), the held rows at the end."""
+    for fed, taken in _prepared(log, filter):
+        yield fed, filter.apply(taken)
+    yield 0, filter.finish()
+
+
+def _prepared(log: Log, filter: Filter) -> Iterator[tuple[int, Taken]]:
+    """A log ready to be applied: (messages taken, what they gave).
 
     Reading and preparing go on in a thread, ahead of the estimate.
     """
     inputs = open_inputs(log, filter)
 
-    def prepared() -> Iterator[tuple[int, Taken]]:
+    def batches() -> Iterator[tuple[int, Taken]]:
         for messages in log.batches(inputs):
             for first in range(0, len(messages), _BATCH):
                 batch = messages.take(slice(first, first + _BATCH))
                 yield len(batch), filter.prepare(batch)
 
-    for fed, taken in ahead(prepared(), _AHEAD):
-        yield fed, filter.apply(taken)
-    yield 0, filter.finish()
+    return ahead(batches(), _AHEAD)
 
 
 def reprocess_to(
     log: Log, plan: Plan, output: str | Path | None, *, order: Order | None = None, advance: Advance | None = None
 ) -> Summary:
     """Run a log through a filter and write its tracks as an MCAP log; memory is bounded by a chunk of either."""
-    started = time.perf_counter()
     order = order or plan.config.lag.order
-    filter, messages = Filter(plan, order=order), 0
+    filter, fed = Filter(plan, order=order), list[int]()
     first, last = log.time_range or (0, 0)
-    with _Sink(plan, output) as sink:
-        for fed, track in run(log, filter):
-            messages += fed
-            sink.take(track)
+
+    def tracks() -> Iterator[Track]:
+        for count, track in run(log, filter):
+            fed.append(count)
+            yield track
             if advance is not None and len(track):
                 advance(float(track.arrival_ns[-1] - first), float(max(last - first, 1)))
-        digest = sink.finish(order, filter)
+
+    return _write(log, filter, tracks(), fed, output, {"order": order})
+
+
+def smooth_to(
+    log: Log, plan: Plan, output: str | Path | None, *, spill: Path | None = None, advance: Advance | None = None
+) -> Summary:
+    """As ``reprocess_to``, but every estimate knows the whole log: the filter's, corrected by what came later.
+
+    In the order of stamps and with the optimal gain, whatever the plan says. Puts aside some kB a sample in ``spill``,
+    by default the system's folder for temporary files; raises ``SpillError`` where that cannot be done.
+    """
+    filter, fed = Filter(smoothing_plan(plan), order="by_stamp"), list[int]()
+    first, last = log.time_range or (0, 0)
+
+    def report(share: float) -> None:
+        if advance is not None:
+            advance(share, 2.0)
+
+    def batches() -> Iterator[Taken]:
+        for count, taken in _prepared(log, filter):
+            fed.append(count)
+            yield taken
+            if taken.events.size:
+                report(float(taken.events.arrival_ns[-1] - first) / max(last - first, 1))
+
+    rate = plan.config.output.rate
+    tracks = smoothed(batches(), filter, rate=rate, spill=spill, report=lambda share: report(1.0 + share))
+    return _write(log, filter, tracks, fed, output, {"order": "by_stamp", "smoothed": "true", "gain": "optimal"})
+
+
+def _write(
+    log: Log, filter: Filter, tracks: Iterator[Track], fed: list[int], output: str | Path | None, made: dict[str, str]
+) -> Summary:
+    """Write the tracks of a filter, and how they were ``made``; ``fed`` counts the messages of each batch."""
+    started = time.perf_counter()
+    with _Sink(filter.plan, output) as sink:
+        for track in tracks:
+            sink.take(track, filter.smoothed())
+        digest = sink.finish(made, filter)
     return Summary(
         output=None if output is None else str(output),
-        messages=messages,
+        messages=sum(fed),
         seconds=time.perf_counter() - started,
         ledger=ledger_json(filter.ledger),
-        final=estimate_json(plan, filter.estimate),
+        final=estimate_json(filter.plan, filter.estimate),
         sha256=digest,
+        smoothed="smoothed" in made,
         losses=list(log.losses),
     )
 
@@ -133,19 +190,19 @@ class _Sink:
         if self._writer is not None:
             self._writer.__exit__(kind, error, trace)
 
-    def take(self, track: Track) -> None:
+    def take(self, track: Track, smoothed: Track | None) -> None:
         """Hand over the next rows; waits while too much is under way. Raises what writing earlier ones raised."""
-        self._under_way.append(self._thread.submit(lambda: self._put(self._outputs.encode(track))))
+        self._under_way.append(self._thread.submit(lambda: self._put(self._outputs.encode(track, smoothed))))
         while len(self._under_way) > _UNDER_WAY:
             self._under_way.popleft().result()
 
-    def finish(self, order: Order, filter: Filter) -> str:
+    def finish(self, made: dict[str, str], filter: Filter) -> str:
         """Write what is left, and how it was made; returns the hash of the estimates."""
         while self._under_way:
             self._under_way.popleft().result()
         self._put(self._outputs.finish())
         if self._writer is not None:
-            self._writer.describe(self._plan, order, filter.intake.datum)
+            self._writer.describe(self._plan, made, filter.intake.datum)
         return self._digest.hexdigest()
 
     def _put(self, encoded: Messages) -> None:

@@ -43,7 +43,7 @@ class Results:
     x: Floats  # (n, N)
     P: Floats  # (n, N (N + 1) / 2) upper triangle, row by row
     decisions: Mapping[str, Decisions]
-    about: Mapping[str, str]  # version, order, datum, config
+    about: Mapping[str, str]  # version, order, datum, config; smoothed and gain where it was smoothed
 
     @property
     def datum(self) -> Floats | None:
@@ -52,12 +52,12 @@ class Results:
         return np.array([float(number) for number in text.split()]) if text else None
 
 
-def read_results(out: Log | str | Path) -> Results:
-    """Read an output log. Raises ``LogError`` when it has no estimates."""
+def read_results(out: Log | str | Path, topic: str | None = None) -> Results:
+    """Read an output log, of several topics with estimates the first. Raises ``LogError`` when it has none."""
     if not isinstance(out, Log):
         with open_log(out) as opened:
-            return read_results(opened)
-    estimate = _channel(out, ESTIMATE)
+            return read_results(opened, topic)
+    estimate = _channel(out, ESTIMATE, topic)
     states = _states(out, estimate)
     n = len(states)
     fields = [f"state[{i}]" for i in range(n)] + [f"covariance[{i}]" for i in range(n * (n + 1) // 2)]
@@ -75,11 +75,12 @@ def read_results(out: Log | str | Path) -> Results:
     )
 
 
-def _channel(out: Log, schema: str) -> Channel:
+def _channel(out: Log, schema: str, topic: str | None = None) -> Channel:
     for channel in out.channels.values():
-        if channel.schema.name == schema:
+        if channel.schema.name == schema and topic in (None, channel.topic):
             return channel
-    raise LogError(str(out.path), 0, f"no {schema} in it; is it the output of fuselog reprocess?")
+    where = "in it" if topic is None else f"on {topic}"
+    raise LogError(str(out.path), 0, f"no {schema} {where}; is it the output of fuselog reprocess?")
 
 
 def _states(out: Log, channel: Channel) -> tuple[str, ...]:

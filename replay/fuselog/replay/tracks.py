@@ -1,5 +1,6 @@
 """Tracks in a log: what a filter publishes, written so that a later run knows it for an output."""
 
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -57,8 +58,8 @@ class TrackWriter:
             )
         )
 
-    def describe(self, plan: Plan, order: str, datum: NDArray[np.float64] | None) -> None:
-        """Add how the track was made: version, configuration, order, and the origin of geodetic coordinates."""
+    def describe(self, plan: Plan, made: Mapping[str, str], datum: NDArray[np.float64] | None) -> None:
+        """Add how the track was made: version, ``made``, origin of geodetic coordinates, and configuration."""
         origin = "" if datum is None else " ".join(repr(float(number)) for number in datum)
-        made = {"version": version("fuselog"), "order": order, "datum": origin, "config": plan.source.text}
-        self._writer.add_metadata("fuselog", made)
+        about = {"version": version("fuselog"), **made, "datum": origin, "config": plan.source.text}
+        self._writer.add_metadata("fuselog", about)

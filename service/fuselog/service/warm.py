@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fuselog.fusion import Filter, Outputs, Plan, Stream, compile_plan, parse_config
+from fuselog.fusion import Filter, FixedLag, Outputs, Plan, Stream, compile_plan, parse_config
 from fuselog.fusion.intake import Intake
 from fuselog.schemas import CdrEncoder, Messages, definition
 
@@ -20,6 +20,8 @@ def warm_up(plan: Plan) -> None:
     _decode_one()
     track = Filter(plan, order="as_received").feed(_messages([]))
     Outputs(plan).encode(track)
+    if plan.config.smooth is not None:
+        FixedLag(plan).warm_up()
 
 
 def _decode_one() -> None:

@@ -291,6 +291,13 @@ class OutputSettings(Settings):
     rate: Positive | None = Field(None, description="most estimates per second of event time; by default one a sample")
 
 
+class SmoothSettings(Settings):
+    """Estimates that know what came some seconds after them, published beside the others."""
+
+    lag: Annotated[Seconds, Field(gt=0, le=3600)] = Field(description="of which later samples an estimate knows")
+    rate: Positive = Field(10.0, description="most estimates per second of event time")
+
+
 class ZenohSettings(Settings):
     """How the service meets others. The default listens on loopback only and looks for nobody."""
 
@@ -319,5 +326,6 @@ class Config(Settings):
     gravity: Positive = Field(9.80665, description="m/s²")
     sensors: dict[str, SensorSettings] = Field(min_length=1)
     output: OutputSettings = OutputSettings.model_validate({})
+    smooth: SmoothSettings | None = Field(None, description="fixed-lag smoothing; by default none")
     zenoh: ZenohSettings = ZenohSettings.model_validate({})
     http: HttpSettings = HttpSettings()

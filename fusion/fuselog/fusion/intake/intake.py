@@ -54,10 +54,14 @@ class _Feed:
 
 
 class Taken(NamedTuple):
-    """What a batch of messages gave: events in arrival order, and the lever arm (m) of each sensor placed by it."""
+    """What a batch of messages gave: events in arrival order, and the lever arm (m) of each sensor placed by it.
+
+    ``settled`` are the events that nothing can come before any more, in the total order, where somebody asked for them.
+    """
 
     events: Events
     levers: dict[int, Floats]
+    settled: Events | None = None
 
 
 class Intake:

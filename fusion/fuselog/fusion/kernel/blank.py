@@ -32,6 +32,10 @@ def linearise(s: Floats, a: int, b: int, dt: float, q: Floats, F: Floats, Q: Flo
     """F (I before) and Q (0 before), rows of N numbers, of ``predict`` from row a, input in row b."""
 
 
+def adjoin(s: Floats, a: int, b: int, dt: float, q: Floats, A: Floats, w: Floats) -> None:
+    """F' A F in place of A and F' l of the row l behind it, by F of ``predict``. w is as there."""
+
+
 def inject(s: Floats, a: int, w: Floats, d: int) -> None:
     """Correct the x of state row a by the N numbers w[d:]."""
 

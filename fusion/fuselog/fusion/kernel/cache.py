@@ -19,7 +19,7 @@ from fuselog.schemas.errors import FuselogError
 
 _HERE = Path(__file__).parent
 # the texts that are compiled together with a generated model, as one module that takes the model's names
-_COMPILED = ("layout", "innovation", "moments", "seeding", "gains", "correction", "step", "advance", "linear")
+_COMPILED = ("layout", "innovation", "moments", "seeding", "gains", "correction", "step", "advance", "linear", "smooth")
 _CAREFUL, _PLAIN = ("robust", "standstill"), ("plain",)  # the first where a sensor needs them, as they take time
 _SOURCES = (_HERE, _HERE.parent / "models")  # what a kernel is made of
 _OWN = {f"fuselog.fusion.kernel.{name}" for name in ("blank", *_COMPILED, *_CAREFUL, *_PLAIN)}

@@ -10,7 +10,7 @@ subexpressions shared and zeros left out.
 # pyright: reportUnknownLambdaType=false, reportConstantRedefinition=false, reportReturnType=false
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import sympy as sp
@@ -61,7 +61,7 @@ def _word(name: str) -> str:
 
 
 def generate(model: Model, measured: Mapping[str, Expr]) -> str:
-    """The text of constants, ``predict``, ``linearise``, ``inject``, ``observe`` for a model and what is measured."""
+    """The text of constants and of the functions of ``blank``, for a model and what is measured."""
     n, stored = len(model.states), len(_stored(model))
     width = max([1, *(len(_dependence(model, expression)) for expression in measured.values())])
     head = [
@@ -75,7 +75,14 @@ def generate(model: Model, measured: Mapping[str, Expr]) -> str:
         f"ROTATION = {model.names.index(ROTATION[0]) if model.rotation else -1}  # where roll, pitch, yaw stand",
     ]
     texts = _texts(model)
-    parts = [_predict(model, texts), _move(model, texts), _linearise(texts), _inject(model), _observe(model, measured)]
+    parts = [
+        _predict(model, texts),
+        _move(model, texts),
+        _linearise(texts),
+        _adjoin(model, texts),
+        _inject(model),
+        _observe(model, measured),
+    ]
     return "\n".join([*head, *(line for part in parts for line in ("", "", *part)), ""])
 
 
@@ -204,7 +211,7 @@ def _texts(model: Model) -> _Texts:
 
 def _predict(model: Model, texts: _Texts) -> list[str]:
     n = len(model.states)
-    off = list(texts.F)
+    off = {(i, j): f"F_{i}_{j}" for i, j in texts.F}
     body = [
         "def predict(s, a, b, dt, q, w):",
         '    """State row b from row a after dt: x = f(x, u, dt), P = F P F\' + Q. w is scratch of 2 LD LD numbers."""',
@@ -256,6 +263,28 @@ def _linearise(texts: _Texts) -> list[str]:
     return _used(body)
 
 
+def _adjoin(model: Model, texts: _Texts) -> list[str]:
+    n = len(model.states)
+    turned = {(j, i): f"F_{i}_{j}" for i, j in texts.F}
+    rows = {i: {i: "1.0"} | {j: factor for (k, j), factor in sorted(turned.items()) if k == i} for i, _ in turned}
+    body = [
+        "def adjoin(s, a, b, dt, q, A, w):",
+        '    """F\' A F in place of A and F\' l of the row l behind it, by F of ``predict``. w is as there."""',
+        *texts.head,
+        *(f"    F_{i}_{j} = {value}" for (i, j), value in texts.F.items()),
+        *_product("w", "0", "A", "0", turned, n, upper=False),
+        "    transpose(w, LD * LD, w, 0, LD)",
+        *_product("A", "0", "w", "LD * LD", turned, n, upper=True),
+        "    mirror(A, 0, LD)",
+        *(
+            f"    l_{i} = " + " + ".join(f"{factor} * A[LD * LD + {j}]" for j, factor in terms.items())
+            for i, terms in rows.items()
+        ),
+        *(f"    A[LD * LD + {i}] = l_{i}" for i in rows),
+    ]
+    return _used(body)
+
+
 def _inject(model: Model) -> list[str]:
     """x = x (+) d: added, angles wrapped, the attitude turned."""
     lines = ["def inject(s, a, w, d):", '    """Correct the x of state row a by the N numbers w[d:]."""']
@@ -291,13 +320,16 @@ def _process_noise(model: Model, motion: _Motion) -> dict[tuple[int, int], Expr]
 
 
 def _product(
-    out: str, to: str, source: str, at: str, off: Iterable[tuple[int, int]], n: int, *, upper: bool
+    out: str, to: str, source: str, at: str, off: Mapping[tuple[int, int], str], n: int, *, upper: bool
 ) -> list[str]:
-    """Lines for out = F source, row by row; of a symmetric product only from the block of the diagonal on."""
-    off, lines, width = set(off), [], _padded(n)
+    """Lines for out = F source, row by row; of a symmetric product only from the block of the diagonal on.
+
+    ``off`` names the entries of F that are not those of I.
+    """
+    lines, width = list[str](), _padded(n)
     for i in range(n):
         column = i // LANES * LANES if upper else 0
-        terms = {i: "1.0"} | {j: f"F_{k}_{j}" for k, j in sorted(off) if k == i}
+        terms = {i: "1.0"} | {j: factor for (k, j), factor in sorted(off.items()) if k == i}
         starts = "".join(f"{at} + {j} * LD + {column}, " for j in terms)
         factors = "".join(f"{factor}, " for factor in terms.values())
         place = f"{to} + {i} * LD + {column}"

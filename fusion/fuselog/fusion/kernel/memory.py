@@ -65,6 +65,26 @@ def empty_history(kernel: ModuleType, tables: Tables, capacity: int) -> History:
     )
 
 
+def compact_history(history: History) -> History:
+    """The entries that are there, as copies, with room for one more: none at all could not be told from all free."""
+    head, tail = int(history.cursor[0]), int(history.cursor[1])
+    capacity = tail + 2 - head
+    columns = [np.zeros(len(column) // history.capacity * capacity, column.dtype) for column in history[3:]]
+    compact = History(capacity, history.cursor.copy(), history.counts.copy(), *columns)
+    move_history(history, head, compact)
+    return compact
+
+
+def move_history(history: History, first: int, to: History) -> None:
+    """Put the entries from ``first`` on at the front of ``to``, and the counts and the newest stamp with them."""
+    tail = int(history.cursor[1])
+    for before, after in zip(history[3:], to[3:], strict=True):
+        width = len(before) // history.capacity
+        after[: (tail + 1 - first) * width] = before[first * width : (tail + 1) * width]
+    to.counts[:] = history.counts
+    to.cursor[:] = 0, tail - first, history.cursor[2]
+
+
 def scratch(kernel: ModuleType, tables: Tables) -> Work:
     """What one step works with."""
     M = tables.M

@@ -16,6 +16,9 @@ def evaluate(
         list[str] | None, typer.Option(help="STATE=PATH, for truth of other message types; repeat for more.")
     ] = None,
     where: Annotated[str | None, typer.Option(help="A Bool topic of the truth log; only rows it marks true.")] = None,
+    topic: Annotated[
+        str | None, typer.Option(help="Of several topics with estimates, such as fused/odom/smoothed; else the first.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Compare estimates with the truth at its stamps: RMSE by state, NEES, and NIS by sensor."""
@@ -24,10 +27,10 @@ def evaluate(
     from fuselog.replay.results import read_results  # noqa: PLC0415  slow to import
     from fuselog.replay.truth import only_where, read_truth  # noqa: PLC0415  slow to import
 
-    path, topic = truth_place(truth)
-    results = read_results(out)
+    path, true_topic = truth_place(truth)
+    results = read_results(out, topic)
     with open_log(path) as log:
-        true = read_truth(log, topic, fields=truth_fields(field or []), datum=results.datum)
+        true = read_truth(log, true_topic, fields=truth_fields(field or []), datum=results.datum)
         if where is not None:
             true = only_where(true, log, where)
     evaluation = compare(results, true).to_json()

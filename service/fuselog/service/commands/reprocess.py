@@ -16,18 +16,33 @@ def reprocess(
         Literal["by_stamp", "as_received"] | None,
         typer.Option(help="Rows in stamp order (the best estimate), or as the live service publishes them."),
     ] = None,
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="Let every estimate know the whole log; in stamp order, optimal gain.")
+    ] = False,
+    spill: Annotated[
+        Path | None, typer.Option(help="Folder for what smoothing puts aside; by default that for temporary files.")
+    ] = None,
     rrd: Annotated[Path | None, typer.Option(help="Also write a Rerun recording of the output.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Fuse a log as fast as the machine allows; write estimates, odometry and a decision for every sample."""
     from fuselog.fusion import load_plan  # noqa: PLC0415  slow to import
-    from fuselog.replay import open_log, reprocess_to  # noqa: PLC0415  slow to import
+    from fuselog.replay import open_log, reprocess_to, smooth_to  # noqa: PLC0415  slow to import
 
     if rrd is not None and output is None:
         raise typer.BadParameter("it shows the output: give --output too", param_hint="--rrd")
+    if smooth and order == "as_received":
+        raise typer.BadParameter("smoothing is in the order of stamps", param_hint="--order")
+    if spill is not None and not smooth:
+        raise typer.BadParameter("only smoothing puts anything aside: give --smooth too", param_hint="--spill")
     plan = load_plan(config)
-    with open_log(log) as opened, progress("fusing") as advance:
-        summary = reprocess_to(opened, plan, output, order=order, advance=advance)
+    if smooth and plan.config.gain.mode != "optimal":
+        stderr.print(f"smoothing with the optimal gain; gain.mode {plan.config.gain.mode} is not used")
+    with open_log(log) as opened, progress("smoothing" if smooth else "fusing") as advance:
+        if smooth:
+            summary = smooth_to(opened, plan, output, spill=spill, advance=advance)
+        else:
+            summary = reprocess_to(opened, plan, output, order=order, advance=advance)
     if rrd is not None and output is not None:
         from fuselog.service.view import write_recording  # noqa: PLC0415  slow to import
 

@@ -1,0 +1,208 @@
+"""Smoothing: forth over samples, then back over their entries in the modified Bryson-Frazier form; goes with ``step``.
+
+Bierman 1973 (Int. J. Control 18), with L L' = S and all at the states and linearisations that the filter used:
+
+    before the update      Lambda~ = H' S^-1 H + (I - K H)' Lambda (I - K H)
+                           lambda~ = -H' S^-1 nu + (I - K H)' lambda
+    before the prediction  Lambda = F' Lambda~ F,  lambda = F' lambda~
+    smoothed               x (+) -P lambda,  P - P Lambda P
+
+No covariance is inverted. (I - K H) is that of the optimal gain. An entry whose sample was gated, invalid or the input
+has no update. What a sample gave a first value has none before it: the filter set x_j = z - v, free of the state
+before, so that the transition there is D, the unit matrix without j, and the adjoints pass as D Lambda D and D lambda.
+Where such a number depends on other states too (a position through a lever arm), the filter does not correlate
+them, and neither does D: Lambda stays within the information that P accounts for, and P - P Lambda P not negative.
+"""
+
+import math
+
+from fuselog.fusion.kernel.advance import admit, insert, write
+from fuselog.fusion.kernel.blank import LD, WIDTH, N, X, adjoin, inject
+from fuselog.fusion.kernel.innovation import mahalanobis
+from fuselog.fusion.kernel.layout import COVARIANCE, DRIVES_PREVIOUS, FUSED, KNOWN, MOST, ROW, WHITE
+from fuselog.fusion.kernel.rows import mirror, pointers, row_copy, row_scale, row_take, take_outer
+from fuselog.fusion.kernel.seeding import give_variance
+from fuselog.fusion.kernel.step import step
+from fuselog.fusion.kernel.tables import NEVER, Floats, History, Rows, Samples, Tables, Work
+from fuselog.fusion.kernel.trail import Trail, Visits
+from fuselog.schemas.compiled import inline, kernel
+
+LAMBDA = LD * LD  # where lambda stands, behind Lambda
+ADJOINT = LAMBDA + LD
+PRODUCT = 2 * LD * LD  # places in Trail.scratch, after the two products of ``adjoin``
+CORRECTION = PRODUCT + LD * LD
+PROJECTED = CORRECTION + LD
+SHARE = PROJECTED + MOST * LD
+BACK_SCRATCH = SHARE + MOST
+
+
+@kernel
+def go_forth(
+    tables: Tables, history: History, work: Work, trail: Trail, events: Samples, visits: Visits, rows: Rows
+) -> None:
+    """Append events, in their total order, to a history with room for them; keep how each corrected the state.
+
+    Writes the filter's rows, and to ``visits`` which entry was the newest after each event.
+    """
+    go_forth_all(
+        pointers(tables),
+        pointers(history),
+        pointers(work),
+        pointers(trail),
+        pointers(events),
+        pointers(visits),
+        pointers(rows),
+    )
+
+
+@inline
+def go_forth_all(
+    tables: Tables, history: History, work: Work, trail: Trail, events: Samples, visits: Visits, rows: Rows
+) -> None:
+    """``go_forth`` on bare pointers."""
+    for e in range(events.size):
+        at, decision = -1, events.fault[e]
+        if decision == 0:
+            decision, at = admit(tables, history, events, e)
+        if at >= 0:
+            insert(tables, history, events, e, at)
+            for k in range(at, history.cursor[1] + 1):
+                step(tables, history, work, k)
+                keep(tables, history, work, trail, k)
+            decision = history.decision[at]
+        visits.entry[e] = history.cursor[1]
+        write(tables, history, at, decision, rows, e)
+
+
+@inline
+def keep(tables: Tables, history: History, work: Work, trail: Trail, k: int) -> None:
+    """How ``step`` has just corrected entry k: the innovation and H, whitened."""
+    M, m, w, H = tables.M, 0, work, trail.H
+    if history.decision[k] == FUSED:
+        m = history.dof[k]
+    trail.used[k] = m
+    mahalanobis(w, m)  # L may have changed since
+    first = k * M * LD
+    for a in range(m):
+        at = first + a * LD
+        trail.y[k * M + a] = w.y[a]
+        row_scale(trail.V, at, w.rows, WHITE + a * LD, -1.0, LD)
+        clear(H, at)
+        for j in range(w.hn[a]):
+            H[at + w.hi[a * WIDTH + j]] = w.hv[a * WIDTH + j]
+        row_take(H, at, H, first, w.L, a * m, 1, a, LD)
+        row_scale(H, at, H, at, w.L[a * m + a], LD)
+
+
+@inline
+def clear(to: Floats, at: int) -> None:
+    """A row of zeros."""
+    for i in range(LD):
+        to[at + i] = 0.0
+
+
+@kernel
+def go_back(tables: Tables, history: History, trail: Trail, visits: Visits, last: int, first: int, rows: Rows) -> None:
+    """Carry the adjoint from after entry ``last`` to after entry ``first``; smooth the rows that are wanted on the way.
+
+    Of a row, only x and P are written.
+    """
+    go_back_all(pointers(tables), pointers(history), pointers(trail), pointers(visits), last, first, pointers(rows))
+
+
+@inline
+def go_back_all(
+    tables: Tables, history: History, trail: Trail, visits: Visits, last: int, first: int, rows: Rows
+) -> None:
+    """``go_back`` on bare pointers."""
+    k = last
+    for e in range(visits.size - 1, -1, -1):
+        while k > visits.entry[e]:
+            recede(tables, history, trail, k)
+            k -= 1
+        if visits.wanted[e] != 0:
+            smooth(history, trail, k)
+            write_smoothed(history, trail, k, rows, e)
+    while k > first:
+        recede(tables, history, trail, k)
+        k -= 1
+
+
+@inline
+def recede(tables: Tables, history: History, trail: Trail, k: int) -> None:
+    """The adjoint after entry k - 1 from that after entry k."""
+    before_update(tables, trail, k)
+    before_first_values(history, trail, k)
+    before_prediction(tables, history, trail, k)
+
+
+@inline
+def before_update(tables: Tables, trail: Trail, k: int) -> None:
+    """Lambda~ and lambda~, by I - K H = I + V' L^-1 H; in two passes, as Joseph's form, for the digits' sake."""
+    A, w, V, H, m = trail.adjoint, trail.scratch, trail.V, trail.H, trail.used[k]
+    first = k * tables.M * LD
+    for a in range(m):
+        share = trail.y[k * tables.M + a]
+        for i in range(N):
+            share -= V[first + a * LD + i] * A[LAMBDA + i]
+        w[SHARE + a] = share
+        clear(w, PROJECTED + a * LD)
+        row_take(w, PROJECTED + a * LD, A, 0, V, first + a * LD, 1, N, LD)
+    if m > 0:
+        row_take(A, LAMBDA, H, first, w, SHARE, 1, m, LD)
+        take_outer(A, 0, w, PROJECTED, H, first, m, N, LD, False)
+        for a in range(m):
+            row_scale(w, PROJECTED + a * LD, H, first + a * LD, -1.0, LD)
+            row_take(w, PROJECTED + a * LD, A, 0, V, first + a * LD, 1, N, LD)
+        take_outer(A, 0, H, first, w, PROJECTED, m, N, LD, True)
+        mirror(A, 0, LD)
+
+
+@inline
+def before_first_values(history: History, trail: Trail, k: int) -> None:
+    """Nothing is said of the past by a state that entry k gave its first value."""
+    known = history.state
+    for j in range(N):
+        if known[(k - 1) * ROW + KNOWN + j] == 0.0 and known[k * ROW + KNOWN + j] != 0.0:
+            give_variance(trail.adjoint, 0, j, 0.0)
+            trail.adjoint[LAMBDA + j] = 0.0
+
+
+@inline
+def before_prediction(tables: Tables, history: History, trail: Trail, k: int) -> None:
+    """F' Lambda F and F' lambda, by the input that ``carry`` used."""
+    before, a = history.t[k - 1], (k - 1) * ROW
+    if before == NEVER or before == history.t[k]:
+        return
+    b = k * ROW if tables.role[history.sensor[k]] == DRIVES_PREVIOUS else a
+    dt = (history.t[k] - before) * 1e-9
+    adjoin(history.state, a, b, dt, tables.q, trail.adjoint, trail.scratch)
+
+
+@inline
+def smooth(history: History, trail: Trail, k: int) -> None:
+    """x (+) -P lambda and P - P Lambda P (from the diagonal's blocks on) of entry k, in ``trail.row``."""
+    s, A, w, row, P = history.state, trail.adjoint, trail.scratch, trail.row, k * ROW + COVARIANCE
+    row_copy(row, 0, s, k * ROW, X)
+    clear(w, CORRECTION)
+    row_take(w, CORRECTION, s, P, A, LAMBDA, 1, N, LD)
+    inject(row, 0, w, CORRECTION)
+    for i in range(N):
+        clear(w, PRODUCT + i * LD)
+        row_copy(row, X + i * LD, s, P + i * LD, LD)
+    take_outer(w, PRODUCT, A, 0, s, P, N, N, LD, False)
+    for i in range(N):
+        row_scale(w, PRODUCT + i * LD, w, PRODUCT + i * LD, -1.0, LD)
+    take_outer(row, X, s, P, w, PRODUCT, N, N, LD, True)
+
+
+@inline
+def write_smoothed(history: History, trail: Trail, k: int, rows: Rows, e: int) -> None:
+    """Row e of the output from ``trail.row``; what was not known at entry k stays unknown."""
+    row, packed = trail.row, e * (N * (N + 1) // 2)
+    for i in range(N):
+        known = history.state[k * ROW + KNOWN + i] != 0.0
+        rows.x[e * N + i] = row[i] if known else math.nan
+        for j in range(i, N):
+            rows.P[packed + j - i] = row[X + i * LD + j]
+        packed += N - i
