@@ -175,9 +175,14 @@ def events_of(plan: Plan, samples: Iterable[Sample]) -> Events:
     )
 
 
+def kernel_of(plan: Plan) -> Any:
+    """The module of the plan's kernels."""
+    return plan.kernel
+
+
 def put(engine: Engine, x: NDArray, P: NDArray, *, t_ns: int) -> None:
     """Set the newest state of an engine that has fused something, at a time of its own."""
-    kernel = engine.plan.kernel
+    kernel = kernel_of(engine.plan)
     snapshot = engine.snapshot()
     tail, N, LD = int(snapshot.history.cursor[1]), kernel.N, kernel.LD
     row = snapshot.history.state[tail * kernel.ROW : (tail + 1) * kernel.ROW]
@@ -188,6 +193,7 @@ def put(engine: Engine, x: NDArray, P: NDArray, *, t_ns: int) -> None:
     row[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N] = P
     row[kernel.KNOWN : kernel.KNOWN + N] = 1.0
     snapshot.history.t[tail] = t_ns
+    snapshot.history.marks.reshape(snapshot.history.capacity, -1)[tail, kernel.AT] = t_ns
     snapshot.history.cursor[2] = t_ns
     engine.restore(snapshot)
 

@@ -37,6 +37,7 @@ class Estimate:
     P: NDArray[np.float64]  # (N, N)
     known: NDArray[np.bool_]  # (N,) False while a state waits for its first measurement
     learned: Learned
+    resets: int = 0  # how often P was no covariance any more and began anew
 
 
 class Snapshot(NamedTuple):
@@ -86,12 +87,13 @@ class Engine:
         kernel, tail = self._kernel, int(self._history.cursor[1])
         N, LD = kernel.N, kernel.LD
         row = self._history.state[tail * kernel.ROW : (tail + 1) * kernel.ROW].copy()
-        t = int(self._history.t[tail])
+        marks = self._history.marks.reshape(self._history.capacity, -1)[tail]
+        t, resets = int(marks[kernel.AT]), int(marks[kernel.RESETS])
         P = row[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N]
         known = row[kernel.KNOWN : kernel.KNOWN + N] != 0
         x = np.where(known, row[:N], np.nan)
         return Estimate(
-            t_ns=None if t == NEVER else self._moment(t), x=x, P=P, known=known, learned=self._learned(tail)
+            t_ns=None if t == NEVER else t, x=x, P=P, known=known, learned=self._learned(tail), resets=resets
         )
 
     @property
@@ -107,11 +109,6 @@ class Engine:
         """Go back to a snapshot of an engine with the same plan."""
         self._history = compact_history(snapshot.history)
         self._tables.sensor[:] = snapshot.sensor
-
-    def _moment(self, t: int) -> int:
-        """The end of the cycle of stamp t (ns), where there are cycles."""
-        period = self._tables.period_ns
-        return -(-t // period) * period if period else t
 
     def _learned(self, entry: int) -> Learned:
         """What has been learned by an entry of the history."""

@@ -11,7 +11,10 @@ from fuselog.fusion.kernel.tables import SAMPLE_WIDTH
 
 
 class Decision(IntEnum):
-    """What became of a sample. One that was skipped had no vote in its cycle of fixed weights."""
+    """What became of a sample. One that was skipped had no vote in its cycle of fixed weights.
+
+    ``INVALID_SINGULAR`` brought the state to where the model has no estimate.
+    """
 
     FUSED = 0
     GATED = 1
@@ -24,6 +27,7 @@ class Decision(IntEnum):
     INVALID_COVARIANCE = 8
     INVALID_UNINITIALISED = 9
     SKIPPED = 10
+    INVALID_SINGULAR = 11
 
     @property
     def invalid(self) -> bool:

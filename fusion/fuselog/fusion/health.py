@@ -135,6 +135,9 @@ def assess(
     positive = finite and _positive(estimate.P)
     own = [] if finite else ["the state is not finite"]
     own += [] if positive else ["the covariance is not positive semi-definite"]
+    times = f"{estimate.resets} times" if estimate.resets > 1 else "once"
+    own += [f"the covariance began anew {times}: it was no covariance any more"] if estimate.resets else []
+    own += _beyond(plan, recent)
     wrong = [f"{name}: {reason}" for name, s in sensors.items() if s.status == "degraded" for reason in s.reasons]
     waits = [f"{name}: {reason}" for name, s in sensors.items() if s.status == "waiting" for reason in s.reasons]
     unknown = [state for state, known in zip(plan.states, estimate.known, strict=True) if not known]
@@ -149,6 +152,18 @@ def assess(
         optimality_ratio=optimality_ratio,
         sensors=sensors,
     )
+
+
+def _beyond(plan: Plan, recent: Recent) -> list[str]:
+    """The limits of the model, when samples of late brought the state to one."""
+    if not any(np.any(window.decision == Decision.INVALID_SINGULAR) for window in recent):
+        return []
+    limits = [
+        f"{state} came to {np.degrees(limit):.3g} deg" if plan.card.states[state] == "rad" else f"{state} to {limit:g}"
+        for state, limit in plan.card.limits.items()
+    ]
+    turns = "; a model that keeps a quaternion has one" if "pitch" in plan.card.limits else ""
+    return [f"{' or '.join(limits)}: {plan.card.name} has no estimate there{turns}"]
 
 
 def _remember(window: Window, track: Track, rank: int) -> Window:

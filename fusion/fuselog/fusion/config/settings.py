@@ -22,6 +22,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
+Matrix = list[list[Finite]]  # row by row
 
 
 class Settings(BaseModel):
@@ -45,10 +46,34 @@ class ModelSettings(Settings):
     process_noise: dict[str, NotNegative] = Field(default_factory=dict)
     parameters: dict[str, Finite] = Field(default_factory=dict, description="constants of the model, by name")
     adapt: ProcessAdaptSettings | None = Field(None, description="learn one factor on all process noise")
+    states: dict[str, str] = Field(default_factory=dict, description="linear: units by state; rad is an angle")
+    inputs: dict[str, str] = Field(default_factory=dict, description="linear: units by input")
+    step: Annotated[Seconds, Field(gt=0)] | None = Field(None, description="linear: time that F, G and Q hold for")
+    F: Matrix | None = Field(None, description="linear: x' = F x + G u + w after a step")
+    G: Matrix | None = None
+    Q: Matrix | None = Field(None, description="linear: covariance of w")
+    Fc: Matrix | None = Field(None, description="linear: dx/dt = Fc x + Gc u + w, in place of F, for any time")
+    Gc: Matrix | None = None
+    Qc: Matrix | None = Field(None, description="linear: spectral density of w")
 
 
 def _named(value: Any) -> Any:
     return {"name": value} if isinstance(value, str) else value
+
+
+class FilterSettings(Settings):
+    """How a sample is weighed where model or measurement is not linear."""
+
+    kind: Literal["ekf", "iekf", "ukf"] = Field(
+        "ekf",
+        description="ekf: derivatives at the predicted state; iekf: at the corrected one, in turns; ukf: sigma points",
+    )
+    iterations: Annotated[int, Field(ge=1, le=100)] = Field(10, description="iekf: most linearisations of one sample")
+    tolerance: Positive = Field(1e-6, description="iekf: change, in standard deviations, at which it is done")
+
+
+def _of_kind(value: Any) -> Any:
+    return {"kind": value} if isinstance(value, str) else value
 
 
 class InitialSettings(Settings):
@@ -242,7 +267,7 @@ class SensorSettings(Settings):
     topic: str = Field(min_length=1)
     type: str | None = Field(None, description="message type; by default as the log or the publisher says")
     kind: Literal[
-        "state", "polar", "beacon_range", "magnetometer", "pressure", "constant", "zero_velocity", "input"
+        "state", "linear", "polar", "beacon_range", "magnetometer", "pressure", "constant", "zero_velocity", "input"
     ] = "state"
     fuse: list[str] = Field(default_factory=list, description="names of states, or of what the kind measures")
     fields: dict[str, str] = Field(default_factory=dict, description="name: path in the message, for other types")
@@ -254,6 +279,10 @@ class SensorSettings(Settings):
     noise: dict[str, Positive] = Field(
         default_factory=dict, description="sd in place of the message's; of an input: per root hertz"
     )
+    H: dict[str, dict[str, Finite]] = Field(
+        default_factory=dict, description="linear: {number: {state: factor}}; what is not there is 0"
+    )
+    R: Matrix | None = Field(None, description="covariance of all numbers, in the order of fuse, in place of noise")
     noise_floor: dict[str, Positive] = Field(default_factory=dict, description="least sd")
     noise_scale: Positive = Field(1.0, description="factor on the message's sd")
     scale: dict[str, Finite] = Field(default_factory=dict, description="factor on the value")
@@ -320,6 +349,7 @@ class Config(Settings):
     version: Literal[1] = Field(alias="fuselog")
     id: str = Field("filter", pattern=r"^[A-Za-z0-9_.-]{1,64}$")
     model: Annotated[ModelSettings, BeforeValidator(_named)]
+    filter: Annotated[FilterSettings, BeforeValidator(_of_kind)] = FilterSettings.model_validate({})
     initial: InitialSettings = InitialSettings.model_validate({})
     gain: GainSettings = GainSettings.model_validate({})
     lag: LagSettings = LagSettings.model_validate({})

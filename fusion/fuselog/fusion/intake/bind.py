@@ -48,14 +48,15 @@ class Recipe(NamedTuple):
     column: Ints  # (parts,) where the part's numbers begin
     slot: Ints  # (parts,) where its quantities begin
     size: Ints  # (parts,) how many quantities
-    fixed: Ints  # (parts,) whether the covariance of an attitude is to be turned from the world's axes to the body's
+    world: Ints  # (parts,) whether the covariance of an attitude is to be turned from the world's axes to the body's
     curved: bool  # whether there is a covariance to convert even where the sensor's axes are the body's
     covariance: Ints  # (slots, slots) column of each entry
     pick: Any  # (m,) slot of each fused number
     entry: Ints  # (entries, 2) the places (i, j <= i) of R that can differ from 0
     extra: Ints  # (SAMPLE_WIDTH,) slots of what comes with a sample
     status: Ints  # columns of which each must not be negative
-    variance: Floats  # (m,) that takes the place of the message's; NaN to keep it
+    fixed: Floats  # (m, m) covariance that takes the place of the message's; NaN to keep it
+    variance: Floats  # (m,) the same for one number
     floor: Floats  # (m,) least variance
     scale: Floats  # (m,)
     offset: Floats  # (m,)
@@ -105,21 +106,26 @@ def make_binder(sensor: SensorPlan, parts: Sequence[Part]) -> Binder:
         scale, offset = np.zeros(1), np.array([math.pi / 2 - settings.declination])
     status = [part.status for part in parts if part.status is not None]
     fields += status
-    fixed = [sensor.turn >= 0 and part.shape == Shape.ORIENTATION and _is_fixed(part) for part in parts]
+    world = [sensor.turn >= 0 and part.shape == Shape.ORIENTATION and _is_fixed(part) for part in parts]
     pick = [names.index(name) for name in sensor.names]
-    entry = [(i, j) for i, a in enumerate(pick) for j, b in enumerate(pick[: i + 1]) if i == j or covariance[a, b] >= 0]
+    fixed = np.full((len(pick), len(pick)), math.nan)
+    if settings.R is not None and sensor.R is not None:
+        fixed = sensor.R
+    pairs = [(i, j) for i in range(len(pick)) for j in range(i + 1)]
+    entry = [(i, j) for i, j in pairs if i == j or covariance[pick[i], pick[j]] >= 0 or settings.R is not None]
     recipe = Recipe(
         shape=np.array([part.shape for part in parts], np.int64),
         column=np.array(columns, np.int64),
         slot=np.array(slots, np.int64),
         size=np.array([len(part.names) for part in parts], np.int64),
-        fixed=np.array(fixed, np.int64),
-        curved=any(fixed) or any(part.shape == Shape.PRESSURE for part in parts),
+        world=np.array(world, np.int64),
+        curved=any(world) or any(part.shape == Shape.PRESSURE for part in parts),
         covariance=covariance,
         pick=np.array(pick, np.int64),
         entry=np.array(entry, np.int64),
         extra=np.array(extra, np.int64),
         status=np.arange(len(fields) - len(status), len(fields)),
+        fixed=fixed,
         variance=np.array([settings.noise.get(name, math.nan) ** 2 for name in sensor.names]),
         floor=np.array([settings.noise_floor.get(name, 0.0) ** 2 for name in sensor.names]),
         scale=scale,
@@ -138,6 +144,7 @@ def without_noise(sensor: SensorPlan, parts: Sequence[Part]) -> list[str]:
     """The fused numbers whose noise nobody gives: neither the message nor the configuration."""
     covered = {name for part in parts if part.covariance is not None for name in part.names}
     covered = set[str]() if sensor.role != Role.MEASURES else covered
+    covered |= {*sensor.names} if sensor.settings.R is not None else set()
     return [name for name in sensor.names if name not in covered and name not in sensor.settings.noise]
 
 
@@ -290,7 +297,7 @@ def put_change(recipe: Recipe, row: Row, full: Row, part: int, matrix: Row, turn
     body's.
     """
     s = recipe.slot[part]
-    if recipe.fixed[part]:
+    if recipe.world[part]:
         x, y, z, w = quaternion_from_rpy(full[s], full[s + 1], full[s + 2])
         put_matrix((-x, -y, -z, w), T)
         return 3
@@ -306,6 +313,8 @@ def put_change(recipe: Recipe, row: Row, full: Row, part: int, matrix: Row, turn
 @inline
 def noise(recipe: Recipe, i: int, j: int, entry: float) -> float:
     """One entry of R: the configured variance, or the message's, inflated, floored and scaled with the value."""
+    if not math.isnan(recipe.fixed[i, j]):
+        return recipe.fixed[i, j]
     if i == j:
         own = recipe.variance[i]
         variance = entry * recipe.inflate if math.isnan(own) else own

@@ -4,6 +4,7 @@ import math
 
 from fuselog.fusion.kernel.blank import LD, N
 from fuselog.fusion.kernel.layout import (
+    AT,
     COVARIANCE,
     DUPLICATE,
     KNOWN,
@@ -14,7 +15,7 @@ from fuselog.fusion.kernel.layout import (
     SENSOR_MARKS,
     UNDECIDED,
 )
-from fuselog.fusion.kernel.moments import moment
+from fuselog.fusion.kernel.moments import marks_at, moment
 from fuselog.fusion.kernel.rows import pointers, row_copy
 from fuselog.fusion.kernel.step import step
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
@@ -183,7 +184,7 @@ def move_result(tables: Tables, history: History, k: int, to: int) -> None:
 def write(tables: Tables, history: History, at: int, decision: int, rows: Rows, e: int) -> None:
     """Row e of the output: the newest state, and what became of this sample (entry ``at``, if it has one)."""
     M, s, b = tables.M, history.state, history.cursor[1] * ROW
-    rows.t_ns[e], rows.decision[e] = moment(tables, history.t[history.cursor[1]]), decision
+    rows.t_ns[e], rows.decision[e] = history.marks[marks_at(tables, history.cursor[1]) + AT], decision
     row_copy(rows.x, e * N, s, b, LD)
     for i in range(N):
         if s[b + KNOWN + i] == 0.0:

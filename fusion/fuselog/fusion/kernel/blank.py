@@ -17,6 +17,8 @@ U = 0  # inputs
 DENSITIES = 1  # of the process noise, the first numbers of q
 WIDTH = 1  # most states that one measured number depends on
 ANGLES = np.array([0], np.uint8)  # which states are angles
+LIMITED = False  # whether a state has a limit
+LIMITS = np.array([np.inf])  # from which absolute value of a state on there is no estimate
 ROTATION = -1  # where roll, pitch, yaw stand when they are kept as a quaternion
 
 
@@ -26,6 +28,10 @@ def predict(s: Floats, a: int, b: int, dt: float, q: Floats, w: Floats) -> None:
 
 def move(s: Floats, a: int, b: int, dt: float, q: Floats) -> None:
     """The x of state row b from row a after dt, as ``predict``."""
+
+
+def disturb(s: Floats, a: int, b: int, dt: float, q: Floats) -> None:
+    """Add the Q of ``predict`` to P of state row b, on and above the diagonal; x of row a and the input of row b."""
 
 
 def linearise(s: Floats, a: int, b: int, dt: float, q: Floats, F: Floats, Q: Floats) -> None:

@@ -14,15 +14,18 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import ModuleType
 
-from fuselog.fusion.kernel.declared import Declared
+from fuselog.fusion.kernel.declared import Declaration
 from fuselog.schemas.errors import FuselogError
 
 _HERE = Path(__file__).parent
 # the texts that are compiled together with a generated model, as one module that takes the model's names
-_COMPILED = ("layout", "innovation", "moments", "seeding", "gains", "correction", "step", "advance", "linear", "smooth")
+# the texts that are compiled together with a generated model, as one module that takes the model's names
+_BEFORE = ("layout", "innovation", "moments", "seeding", "gains", "correction", "soundness")
+_FILTERS = {"ekf": "extended", "iekf": "iterated", "ukf": "unscented"}  # of which one comes between
 _CAREFUL, _PLAIN = ("robust", "standstill"), ("plain",)  # the first where a sensor needs them, as they take time
+_AFTER = ("step", "advance", "linear", "smooth")
 _SOURCES = (_HERE, _HERE.parent / "models")  # what a kernel is made of
-_OWN = {f"fuselog.fusion.kernel.{name}" for name in ("blank", *_COMPILED, *_CAREFUL, *_PLAIN)}
+_OWN = {f"fuselog.fusion.kernel.{n}" for n in ("blank", *_BEFORE, *_FILTERS.values(), *_CAREFUL, *_PLAIN, *_AFTER)}
 _HEAD = '''"""Made by fuselog from the model {name}; delete freely."""
 
 import math
@@ -45,7 +48,7 @@ from fuselog.fusion.kernel.scalars import (
     tan,
     wrap,
 )
-from fuselog.fusion.kernel.rotations import settle_rotation, show_rotation, turn_rotation
+from fuselog.fusion.kernel.rotations import right_jacobian, settle_rotation, show_rotation, turn_between, turn_rotation
 from fuselog.schemas.compiled import inline
 
 '''
@@ -63,6 +66,7 @@ class ModelCard:
     parameters: dict[str, float]  # name: default
     quantities: list[str]  # what sensors may measure besides states
     has_pose: bool  # whether an Odometry says what the state says
+    limits: dict[str, float]  # state: absolute value from which on there is no estimate
     rotates: bool  # whether roll, pitch, yaw are one rotation, with the covariance of a small turn about body axes
 
 
@@ -73,7 +77,7 @@ def cache_folder() -> Path:
     return base / "kernels"
 
 
-def model_card(declared: Declared) -> ModelCard:
+def model_card(declared: Declaration) -> ModelCard:
     """The card of a model; derives it from the symbolic model when the cache does not have it."""
     path = cache_folder() / _key(declared) / "card.json"
     if path.is_file():
@@ -92,26 +96,32 @@ def model_card(declared: Declared) -> ModelCard:
         parameters=dict(model.parameters),
         quantities=list(measurable(model)),
         has_pose=pose,
+        limits=dict(model.limits),
         rotates=model.rotation is not None,
     )
     _store(path, json.dumps(asdict(card)))
     return card
 
 
-def kernel_module(declared: Declared, measured: Sequence[str], *, careful: bool = False) -> ModuleType:
-    """The module with ``advance`` for a model and the quantities that its sensors measure, in this order.
+def kernel_module(
+    declared: Declaration, measured: Sequence[str], kind: str = "ekf", *, careful: bool = False
+) -> ModuleType:
+    """The module with ``advance`` for a model, what its sensors measure, in this order, and the kind of filter.
 
     ``careful``: for sensors that need more than a gate, see ``Care``.
     """
-    path = cache_folder() / _key(declared, *measured, *(["careful"] if careful else [])) / f"{declared.function}.py"
+    mode = "careful" if careful else "plain"
+    path = cache_folder() / _key(declared, *measured, kind, mode) / f"{declared.function}.py"
     if not path.is_file():
         from fuselog.fusion.kernel.codegen import generate  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
-        from fuselog.fusion.models.quantities import measurable  # noqa: PLC0415  the same
+        from fuselog.fusion.models.quantities import combination, is_combination, measurable  # noqa: PLC0415  the same
 
         model = declared.declare()
         available = measurable(model)
-        generated = generate(model, {quantity: available[quantity] for quantity in measured})
-        _store(path, _HEAD.format(name=model.name) + _decorate(generated) + _filter_text(careful=careful))
+        generated = generate(model, {q: combination(q) if is_combination(q) else available[q] for q in measured})
+        texts = ("matrices",) if model.by_matrices else ()
+        texts = (*texts, *_BEFORE, _FILTERS[kind], *(_CAREFUL if careful else _PLAIN), *_AFTER)
+        _store(path, _HEAD.format(name=model.name) + _decorate(generated) + _join(texts))
     return _load(path)
 
 
@@ -119,10 +129,10 @@ def _decorate(generated: str) -> str:
     return generated.replace("\ndef ", "\n@inline\ndef ")
 
 
-def _filter_text(*, careful: bool) -> str:
+def _join(texts: Sequence[str]) -> str:
     """The compiled texts as one, without what they import from each other."""
     lines: list[str] = []
-    for name in (*_COMPILED, *(_CAREFUL if careful else _PLAIN)):
+    for name in texts:
         text = (_HERE / f"{name}.py").read_text()
         own = [node for node in ast.parse(text).body if isinstance(node, ast.ImportFrom) and node.module in _OWN]
         left_out = {line for node in own for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)}
@@ -130,7 +140,7 @@ def _filter_text(*, careful: bool) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _key(declared: Declared, *measured: str) -> str:
+def _key(declared: Declaration, *measured: str) -> str:
     digest = hashlib.sha256()
     texts = [path.read_text() for folder in _SOURCES for path in sorted(folder.glob("*.py"))]
     added = [repr(sensor) for sensor in declared.sensors]

@@ -28,7 +28,7 @@ from fuselog.fusion.models.model import (
     root_versine,
     symbol,
 )
-from fuselog.fusion.models.quantities import SAMPLE, SENSOR
+from fuselog.fusion.models.quantities import SAMPLE, SENSOR, combination_factors, is_factor
 
 LANES = 4  # rows of P are padded to a multiple of this many numbers
 
@@ -61,9 +61,12 @@ def _word(name: str) -> str:
 
 
 def generate(model: Model, measured: Mapping[str, Expr]) -> str:
-    """The text of constants and of the functions of ``blank``, for a model and what is measured."""
+    """The text of constants and of the functions of ``blank``, for a model and what is measured.
+
+    A model by matrices has a ``predict`` and its parts already.
+    """
     n, stored = len(model.states), len(_stored(model))
-    width = max([1, *(len(_dependence(model, expression)) for expression in measured.values())])
+    width = max([1, *(_width(model, expression) for expression in measured.values())])
     head = [
         f"N = {n}  # {' '.join(map(_shown, model.names))}",
         f"LD = {_padded(n)}  # numbers from one row of P to the next",
@@ -72,18 +75,16 @@ def generate(model: Model, measured: Mapping[str, Expr]) -> str:
         f"DENSITIES = {len(model.noise)}  # of the process noise, the first numbers of q",
         f"WIDTH = {width}  # most states that one measured number depends on",
         f"ANGLES = np.array({[int(a) for a in model.angles]}, np.uint8)",
+        f"LIMITED = {bool(model.limits)}  # whether a state has a limit",
+        f"LIMITS = np.array([{', '.join(_limit(model, name) for name in model.names)}])",
         f"ROTATION = {model.names.index(ROTATION[0]) if model.rotation else -1}  # where roll, pitch, yaw stand",
     ]
-    texts = _texts(model)
-    parts = [
-        _predict(model, texts),
-        _move(model, texts),
-        _linearise(texts),
-        _adjoin(model, texts),
-        _inject(model),
-        _observe(model, measured),
-    ]
+    parts = [*([] if model.by_matrices else _moves(model)), _inject(model), _observe(model, measured)]
     return "\n".join([*head, *(line for part in parts for line in ("", "", *part)), ""])
+
+
+def _limit(model: Model, name: str) -> str:
+    return repr(float(model.limits[name])) if name in model.limits else "np.inf"
 
 
 def _shown(name: str) -> str:
@@ -131,6 +132,13 @@ def _slopes(model: Model, expression: Expr) -> dict[str, Expr]:
 def _dependence(model: Model, expression: Expr) -> list[int]:
     slopes = _slopes(model, expression)
     return [i for i, name in enumerate(model.names) if name in slopes]
+
+
+def _width(model: Model, expression: Expr) -> int:
+    """On how many states it depends; on a turn about all axes where it does about one."""
+    found = {model.names[i] for i in _dependence(model, expression)}
+    turned = {*ROTATION} if model.rotation is not None and found & {*ROTATION} else set[str]()
+    return len(found | turned)
 
 
 def _cross(v: Sequence[Expr]) -> sp.Matrix:
@@ -209,6 +217,11 @@ def _texts(model: Model) -> _Texts:
     )
 
 
+def _moves(model: Model) -> list[list[str]]:
+    texts = _texts(model)
+    return [_predict(model, texts), _move(model, texts), _disturb(texts), _linearise(texts), _adjoin(model, texts)]
+
+
 def _predict(model: Model, texts: _Texts) -> list[str]:
     n = len(model.states)
     off = {(i, j): f"F_{i}_{j}" for i, j in texts.F}
@@ -249,6 +262,16 @@ def _arrive(model: Model, texts: _Texts) -> list[str]:
         *(f"    s[b + N + {i}] = {moved[str(q)]}" for i, q in enumerate(QUATERNION) if model.rotation),
         *(["    show_rotation(s, b + N, b + ROTATION)"] if model.rotation else []),
     ]
+
+
+def _disturb(texts: _Texts) -> list[str]:
+    body = [
+        "def disturb(s, a, b, dt, q):",
+        '    """Add the Q of ``predict`` to P of state row b, on and above the diagonal."""',
+        *texts.head,
+        *(f"    s[b + COVARIANCE + {i} * LD + {j}] += {value}" for (i, j), value in texts.Q.items()),
+    ]
+    return _used(body)
 
 
 def _linearise(texts: _Texts) -> list[str]:
@@ -343,6 +366,7 @@ def _observe(model: Model, measured: Mapping[str, Expr]) -> list[str]:
         '    """Quantity number ``row`` at the state s[a:]: returns h and how many derivatives it left in hv, hi."""',
     ]
     index = {name: i for i, name in enumerate(model.names)}
+    place = {factor: _constants(model) + i for i, factor in enumerate(_factors(measured))}
     for number, expression in enumerate(measured.values()):
         slopes = _slopes(model, expression)
         shared, (value, *rest) = _share(model, [expression, *slopes.values()])
@@ -352,6 +376,7 @@ def _observe(model: Model, measured: Mapping[str, Expr]) -> list[str]:
             *(f"        {_word(f'x_{n}')} = s[a + {i}]" for i, n in enumerate(map(str, _stored(model))) if n in used),
             *(f"        u_{name} = s[a + INPUT + {i}]" for i, name in enumerate(model.inputs) if name in used),
             *(f"        p_{n} = q[{len(model.noise) + i}]" for i, n in enumerate(model.parameters) if n in used),
+            *(f"        {_local(f)} = q[{at}]" for f, at in place.items() if str(f) in used),
             *(f"        {s} = par[p + {i}]" for i, s in enumerate(SENSOR) if str(s) in used),
             *(f"        {s} = z[za + {i}]" for i, s in enumerate(SAMPLE) if str(s) in used),
             *(f"        {name} = {_text(part)}" for name, part in shared),
@@ -362,11 +387,28 @@ def _observe(model: Model, measured: Mapping[str, Expr]) -> list[str]:
     return [*lines, "    return 0.0, 0"]
 
 
+def _constants(model: Model) -> int:
+    """How many numbers of q are the model's."""
+    n, u = len(model.states), len(model.inputs)
+    return 1 + n * (n + u) + n * n if model.by_matrices else len(model.noise) + len(model.parameters)
+
+
+def _factors(measured: Mapping[str, Expr]) -> list[sp.Symbol]:
+    """The factors of linear combinations, in the order of ``combination_factors``."""
+    found = {str(s): s for expression in measured.values() for s in expression.free_symbols if is_factor(s)}
+    return [found[name] for name in combination_factors(list(measured))]
+
+
+def _local(factor: sp.Symbol) -> str:
+    return str(factor).replace(" ", "_")
+
+
 def _share(model: Model, entries: list[Expr]) -> tuple[list[tuple[sp.Symbol, Expr]], list[Expr]]:
     """Common subexpressions and what is left of the entries, in names that no state can clash with."""
     local = {one: sp.Symbol(f"x_{one}", real=True) for one in _stored(model)}
     local |= {symbol(name): sp.Symbol(f"u_{name}", real=True) for name in model.inputs}
     local |= {symbol(name): sp.Symbol(f"p_{name}", real=True) for name in model.parameters}
+    local |= {s: sp.Symbol(_local(s), real=True) for entry in entries for s in entry.free_symbols if is_factor(s)}
     shared, rest = sp.cse([entry.xreplace(local) for entry in entries], sp.numbered_symbols("t"))
     return shared, [sp.sympify(entry) for entry in rest]
 

@@ -13,13 +13,18 @@ from fuselog.schemas.compiled import inline
 def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
     """x = x (+) G nu, and the covariance that belongs to this gain."""
     s, w, b = history.state, work.rows, k * ROW
-    P = b + COVARIANCE
     row_scale(w, DELTA, w, G, work.nu[0], LD)
     for a in range(1, m):
         row_add(w, DELTA, w, G + a * LD, work.nu[a], LD)
     inject(s, b, w, DELTA)
-    if not tables.covariance:
-        return
+    if tables.covariance:
+        shrink(tables, history, work, k, sensor, m)
+
+
+@inline
+def shrink(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
+    """The covariance that belongs to the gain."""
+    s, w, P = history.state, work.rows, k * ROW + COVARIANCE
     if policy(tables, history, k, sensor) == OPTIMAL and work.modest[0]:
         take_outer(s, P, w, WHITE, w, WHITE, m, N, LD, True)
     else:

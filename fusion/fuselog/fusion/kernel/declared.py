@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from fuselog.fusion.kernel.sensor_states import SensorStates
 from fuselog.schemas.errors import FuselogError
@@ -31,12 +31,36 @@ MODEL_NAMES = (
     "attitude",
     "ins3d",
 )
+LINEAR = "linear"  # the name of a model by matrices
 ENTRY_POINTS = "fuselog.models"
 _OWN = "fuselog.fusion.models"
 
 
 class ModelError(FuselogError):
     """A model that cannot be found, or is not one; says where."""
+
+
+class Declaration(Protocol):
+    """What makes a ``Model``, and what its kernels depend on besides fuselog itself."""
+
+    @property
+    def function(self) -> str:
+        """Its name."""
+        ...
+
+    @property
+    def text(self) -> str:
+        """Changes when the model does."""
+        ...
+
+    @property
+    def sensors(self) -> tuple[SensorStates, ...]:
+        """The states that sensors add to it."""
+        ...
+
+    def declare(self) -> "Model":
+        """The model."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,4 +155,4 @@ def find_model(name: str, folder: Path = Path()) -> Declared:
 
 def known_models() -> list[str]:
     """All names but those of files."""
-    return [*MODEL_NAMES, *(entry.name for entry in importlib.metadata.entry_points(group=ENTRY_POINTS))]
+    return [*MODEL_NAMES, LINEAR, *(entry.name for entry in importlib.metadata.entry_points(group=ENTRY_POINTS))]

@@ -79,6 +79,15 @@ def weigh(tables: Tables, history: History, work: Work, k: int, sensor: int, m: 
 
 
 @inline
+def take_noise(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
+    """R of the active numbers in the place of S."""
+    M, rows = tables.M, tables.rows[sensor]
+    for a in range(m):
+        for c in range(a + 1):
+            work.S[a * m + c] = history.R[k * M * M + work.active[a] * rows + work.active[c]]
+
+
+@inline
 def project(work: Work, P_of: Floats, P: int, m: int) -> None:
     """The rows of H P for the active numbers; P lies at ``P`` of ``P_of``."""
     for a in range(m):

@@ -16,7 +16,7 @@ JOSEPH = WHITE + MOST * LD
 DELTA = JOSEPH + MOST * LD
 SCRATCH = DELTA + LD
 
-BEGUN, VARIANT, ACQUIRING, MARKS = 0, 1, 2, 3  # a row of marks: these, and behind them for each sensor
+BEGUN, VARIANT, ACQUIRING, AT, RESETS, MARKS = 0, 1, 2, 3, 4, 5  # a row of marks: these, and behind them by sensor
 LAST, STREAK, SENSOR_MARKS = 0, 1, 2  # the moment it was last fused, and how many samples it had gated since
 
 PROCESS, LEARNED = 0, 1  # a row of what is learned: this, and behind it the memories of some sensors
@@ -29,7 +29,8 @@ FADING, LEAST, GREATEST, PATIENCE, WAIT, TAIL, SPAN, SURE, SLOW, STRAIGHT, TUNIN
 HUBER, STUDENT_T, LEARNS, RECOVERS, STANDS, TEACHES = 1, 2, 4, 8, 16, 32  # of Care
 
 # literals that kernels compare with: Decision, Role, Gain, Missing and Condition by number
-FUSED, GATED, LATE, DUPLICATE, BAD_COVARIANCE, UNINITIALISED, SKIPPED, UNDECIDED = 0, 1, 2, 3, 8, 9, 10, 255
+FUSED, GATED, LATE, DUPLICATE, UNINITIALISED, SKIPPED, UNDECIDED = 0, 1, 2, 3, 9, 10, 255
+BAD_NUMBER, BAD_CLOCK, BAD_COVARIANCE, SINGULAR = 4, 7, 8, 11
 MEASURES, DRIVES_NEXT, DRIVES_PREVIOUS = 0, 1, 2
 OPTIMAL, ABSORB, STATE, MATRIX = 0, 1, 2, 3
 PREDICTION, RENORMALIZE, RESCALE, SKIP = 0, 1, 2, 3

@@ -32,6 +32,7 @@ def begin_history(
     history.state[kernel.INPUT : kernel.INPUT + 2 * kernel.U] = u
     history.state[kernel.KNOWN : kernel.KNOWN + N] = known
     marks = history.marks[: kernel.MARKS + sensors * kernel.SENSOR_MARKS]
+    marks[kernel.AT] = NEVER
     marks[kernel.MARKS + kernel.LAST :: kernel.SENSOR_MARKS] = NEVER
     if tables.learned:
         history.learned[kernel.PROCESS] = 1.0
@@ -89,7 +90,7 @@ def scratch(kernel: ModuleType, tables: Tables) -> Work:
     """What one step works with."""
     M = tables.M
     return Work(
-        rows=np.zeros(kernel.SCRATCH),
+        rows=np.zeros(kernel.ROOM),
         S=np.zeros(M * M),
         L=np.zeros(M * M),
         y=np.zeros(M),

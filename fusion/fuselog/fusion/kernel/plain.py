@@ -12,13 +12,13 @@ def remember(tables: Tables, history: History, k: int, elapsed: int) -> None:
 
 
 @inline
-def disturb(tables: Tables, history: History, work: Work, k: int) -> Floats:
+def learned_noise(tables: Tables, history: History, work: Work, k: int) -> Floats:
     """The process noise as it is stated."""
     return tables.q
 
 
 @inline
-def undisturb(tables: Tables, history: History, work: Work, k: int) -> None:
+def stated_noise(tables: Tables, history: History, work: Work, k: int) -> None:
     """Nothing was changed."""
 
 

@@ -62,8 +62,8 @@ def remember(tables: Tables, history: History, k: int, elapsed: int) -> None:
 
 
 @inline
-def disturb(tables: Tables, history: History, work: Work, k: int) -> Floats:
-    """The process noise as it is learned: densities, and those of the input at entry k until ``undisturb``."""
+def learned_noise(tables: Tables, history: History, work: Work, k: int) -> Floats:
+    """The process noise as it is learned: densities, and those of the input at entry k until ``stated_noise``."""
     if tables.process[0] == 0.0:
         return tables.q
     factor, noise = history.learned[k * tables.learned + PROCESS], k * ROW + INPUT + U
@@ -76,7 +76,7 @@ def disturb(tables: Tables, history: History, work: Work, k: int) -> Floats:
 
 
 @inline
-def undisturb(tables: Tables, history: History, work: Work, k: int) -> None:
+def stated_noise(tables: Tables, history: History, work: Work, k: int) -> None:
     """Give the input at entry k its stated noise again."""
     for i in range(U if tables.process[0] != 0.0 else 0):
         history.state[k * ROW + INPUT + U + i] = work.rows[HP + i]

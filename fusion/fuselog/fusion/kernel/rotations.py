@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.kernel.scalars import atan2, cos, root_cos, root_sinc, sin, wrap
+from fuselog.fusion.kernel.scalars import atan2, cos, root_cos, root_gap, root_sinc, root_versine, sin, wrap
 from fuselog.schemas.compiled import inline, kernel
 
 Floats = NDArray[np.float64]
@@ -14,6 +14,7 @@ Row = Any  # flat memory of numbers, inside kernels
 
 
 Quaternion = tuple[float, float, float, float]  # x y z w
+Vector = tuple[float, float, float]
 
 
 @inline
@@ -98,6 +99,38 @@ def turn_rotation(s: Row, q: int, w: Row, d: int) -> None:
     half, cosine = root_sinc(square / 4) / 2, root_cos(square / 4)
     turn = (half * w[d], half * w[d + 1], half * w[d + 2], cosine)
     s[q], s[q + 1], s[q + 2], s[q + 3] = quaternion_product((s[q], s[q + 1], s[q + 2], s[q + 3]), turn)
+
+
+@inline
+def turn_between(s: Row, q: int, r: int, w: Row, d: int) -> None:
+    """The rotation vector w[d:] (rad, body axes) from the quaternion s[r:] to s[q:]: Exp(d) = r^-1 q."""
+    inverse = (-s[r], -s[r + 1], -s[r + 2], s[r + 3])
+    x, y, z, c = quaternion_product(inverse, (s[q], s[q + 1], s[q + 2], s[q + 3]))
+    if c < 0.0:
+        x, y, z, c = -x, -y, -z, -c
+    sine = math.sqrt(x * x + y * y + z * z)
+    factor = 2.0 / c if sine < 1e-8 else 2.0 * atan2(sine, c) / sine
+    w[d], w[d + 1], w[d + 2] = factor * x, factor * y, factor * z
+
+
+@inline
+def right_jacobian(w: Row, d: int, slopes: Vector) -> Vector:
+    """``slopes`` by a small turn e of q Exp(d) Exp(e) as slopes by a change of d = w[d:] (Sola 2017, equation 183)."""
+    square = w[d] * w[d] + w[d + 1] * w[d + 1] + w[d + 2] * w[d + 2]
+    versine, gap = root_versine(square), root_gap(square)
+    once = cross(slopes, (w[d], w[d + 1], w[d + 2]))
+    twice = cross(once, (w[d], w[d + 1], w[d + 2]))
+    return (
+        slopes[0] - versine * once[0] + gap * twice[0],
+        slopes[1] - versine * once[1] + gap * twice[1],
+        slopes[2] - versine * once[2] + gap * twice[2],
+    )
+
+
+@inline
+def cross(p: Vector, q: Vector) -> Vector:
+    """The cross product."""
+    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
 
 
 @kernel

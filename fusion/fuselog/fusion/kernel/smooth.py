@@ -19,7 +19,8 @@ import math
 from fuselog.fusion.kernel.advance import admit, insert, write
 from fuselog.fusion.kernel.blank import LD, WIDTH, N, X, adjoin, inject
 from fuselog.fusion.kernel.innovation import mahalanobis
-from fuselog.fusion.kernel.layout import COVARIANCE, DRIVES_PREVIOUS, FUSED, KNOWN, MOST, ROW, WHITE
+from fuselog.fusion.kernel.layout import AT, COVARIANCE, DRIVES_PREVIOUS, FUSED, KNOWN, MOST, RESETS, ROW, WHITE
+from fuselog.fusion.kernel.moments import marks_at
 from fuselog.fusion.kernel.rows import mirror, pointers, row_copy, row_scale, row_take, take_outer
 from fuselog.fusion.kernel.seeding import give_variance
 from fuselog.fusion.kernel.step import step
@@ -87,7 +88,7 @@ def keep(tables: Tables, history: History, work: Work, trail: Trail, k: int) -> 
         at = first + a * LD
         trail.y[k * M + a] = w.y[a]
         row_scale(trail.V, at, w.rows, WHITE + a * LD, -1.0, LD)
-        clear(H, at)
+        clear_row(H, at)
         for j in range(w.hn[a]):
             H[at + w.hi[a * WIDTH + j]] = w.hv[a * WIDTH + j]
         row_take(H, at, H, first, w.L, a * m, 1, a, LD)
@@ -95,7 +96,7 @@ def keep(tables: Tables, history: History, work: Work, trail: Trail, k: int) -> 
 
 
 @inline
-def clear(to: Floats, at: int) -> None:
+def clear_row(to: Floats, at: int) -> None:
     """A row of zeros."""
     for i in range(LD):
         to[at + i] = 0.0
@@ -131,9 +132,22 @@ def go_back_all(
 @inline
 def recede(tables: Tables, history: History, trail: Trail, k: int) -> None:
     """The adjoint after entry k - 1 from that after entry k."""
+    if began_anew(tables, history, k):
+        for i in range(LD * LD + LD):
+            trail.adjoint[i] = 0.0
+        return
     before_update(tables, trail, k)
     before_first_values(history, trail, k)
     before_prediction(tables, history, trail, k)
+
+
+@inline
+def began_anew(tables: Tables, history: History, k: int) -> bool:
+    """Whether entry k gave up what was known: nothing after it says anything of what was before."""
+    at, before, lost = marks_at(tables, k) + RESETS, marks_at(tables, k - 1) + RESETS, False
+    for j in range(N):
+        lost |= history.state[(k - 1) * ROW + KNOWN + j] > history.state[k * ROW + KNOWN + j]
+    return lost or history.marks[at] != history.marks[before]
 
 
 @inline
@@ -146,7 +160,7 @@ def before_update(tables: Tables, trail: Trail, k: int) -> None:
         for i in range(N):
             share -= V[first + a * LD + i] * A[LAMBDA + i]
         w[SHARE + a] = share
-        clear(w, PROJECTED + a * LD)
+        clear_row(w, PROJECTED + a * LD)
         row_take(w, PROJECTED + a * LD, A, 0, V, first + a * LD, 1, N, LD)
     if m > 0:
         row_take(A, LAMBDA, H, first, w, SHARE, 1, m, LD)
@@ -171,11 +185,11 @@ def before_first_values(history: History, trail: Trail, k: int) -> None:
 @inline
 def before_prediction(tables: Tables, history: History, trail: Trail, k: int) -> None:
     """F' Lambda F and F' lambda, by the input that ``carry`` used."""
-    before, a = history.t[k - 1], (k - 1) * ROW
-    if before == NEVER or before == history.t[k]:
+    before, now, a = history.marks[marks_at(tables, k - 1) + AT], history.marks[marks_at(tables, k) + AT], (k - 1) * ROW
+    if before in (NEVER, now):
         return
     b = k * ROW if tables.role[history.sensor[k]] == DRIVES_PREVIOUS else a
-    dt = (history.t[k] - before) * 1e-9
+    dt = (now - before) * 1e-9
     adjoin(history.state, a, b, dt, tables.q, trail.adjoint, trail.scratch)
 
 
@@ -184,11 +198,11 @@ def smooth(history: History, trail: Trail, k: int) -> None:
     """x (+) -P lambda and P - P Lambda P (from the diagonal's blocks on) of entry k, in ``trail.row``."""
     s, A, w, row, P = history.state, trail.adjoint, trail.scratch, trail.row, k * ROW + COVARIANCE
     row_copy(row, 0, s, k * ROW, X)
-    clear(w, CORRECTION)
+    clear_row(w, CORRECTION)
     row_take(w, CORRECTION, s, P, A, LAMBDA, 1, N, LD)
     inject(row, 0, w, CORRECTION)
     for i in range(N):
-        clear(w, PRODUCT + i * LD)
+        clear_row(w, PRODUCT + i * LD)
         row_copy(row, X + i * LD, s, P + i * LD, LD)
     take_outer(w, PRODUCT, A, 0, s, P, N, N, LD, False)
     for i in range(N):

@@ -7,12 +7,15 @@ exactly symmetric.
 
 import math
 
-from fuselog.fusion.kernel.blank import LD, U, X, move, predict
-from fuselog.fusion.kernel.correction import update
+from fuselog.fusion.kernel.blank import LD, U, X, move
+from fuselog.fusion.kernel.extended import amend, compare, forecast
 from fuselog.fusion.kernel.gains import gain, has_vote
-from fuselog.fusion.kernel.innovation import cholesky, innovate, mahalanobis, weigh
+from fuselog.fusion.kernel.innovation import cholesky, innovate, mahalanobis, take_noise
 from fuselog.fusion.kernel.layout import (
+    AT,
+    BAD_CLOCK,
     BAD_COVARIANCE,
+    BAD_NUMBER,
     COVARIANCE,
     DRIVES_NEXT,
     DRIVES_PREVIOUS,
@@ -23,14 +26,16 @@ from fuselog.fusion.kernel.layout import (
     MARKS,
     ROW,
     SENSOR_MARKS,
+    SINGULAR,
     SKIPPED,
     STREAK,
     UNINITIALISED,
 )
 from fuselog.fusion.kernel.moments import choose, marks_at, moment
-from fuselog.fusion.kernel.robust import accept, disturb, noise_factor, remember, undisturb
+from fuselog.fusion.kernel.robust import accept, noise_factor, remember
 from fuselog.fusion.kernel.rows import row_copy
 from fuselog.fusion.kernel.seeding import all_known, level, ready, seed
+from fuselog.fusion.kernel.soundness import finite, hold, lose, restart, whole_steps, wrong
 from fuselog.fusion.kernel.standstill import stand
 from fuselog.fusion.kernel.tables import NEVER, History, Tables, Work
 from fuselog.schemas.compiled import inline
@@ -47,21 +52,53 @@ def step(tables: Tables, history: History, work: Work, k: int) -> None:
         history.nu[k * M + i] = math.nan
         history.S[k * M + i] = math.nan
         history.absorbed[k * M + i] = math.nan
-    carry(tables, history, work, k, role)
+    fault = carry(tables, history, work, k, role)
     choose(tables, history, k)
-    level(tables, history, k, sensor)
-    if role in (DRIVES_NEXT, DRIVES_PREVIOUS):
-        take_input(history, k, M)
-        history.decision[k] = FUSED
-    else:
-        history.decision[k] = correct(tables, history, work, k, sensor)
-    stand(tables, history, work, k, sensor)
+    if fault == FUSED:
+        history.decision[k] = apply(tables, history, work, k, sensor, role)
+        fault = wrong(tables, history, work, k)
+        if fault != FUSED:
+            fault = take_back(tables, history, work, k, role, fault)
+    if fault != FUSED:
+        history.decision[k] = fault
     mark(tables, history, k, sensor)
 
 
 @inline
-def carry(tables: Tables, history: History, work: Work, k: int, role: int) -> None:
-    """Predict the state of entry k - 1 to the time of entry k (Bezmen 2019, eq. 23 and 24)."""
+def take_back(tables: Tables, history: History, work: Work, k: int, role: int, fault: int) -> int:
+    """Entry k without its sample, or without its prediction where that is what is wrong; returns what is wrong."""
+    carry(tables, history, work, k, role)
+    choose(tables, history, k)
+    own = wrong(tables, history, work, k)
+    if own != FUSED:
+        fault = own
+        hold(tables, history, k)
+        if own == BAD_COVARIANCE:
+            restart(tables, history, k)
+    if fault == SINGULAR:
+        lose(tables, history, k)
+    return fault
+
+
+@inline
+def apply(tables: Tables, history: History, work: Work, k: int, sensor: int, role: int) -> int:
+    """Let the sample of entry k drive or correct its predicted state; returns what became of the sample."""
+    level(tables, history, k, sensor)
+    decision = FUSED
+    if role in (DRIVES_NEXT, DRIVES_PREVIOUS):
+        take_input(history, k, tables.M)
+    else:
+        decision = correct(tables, history, work, k, sensor)
+    stand(tables, history, work, k, sensor)
+    return decision
+
+
+@inline
+def carry(tables: Tables, history: History, work: Work, k: int, role: int) -> int:
+    """Predict the state of entry k - 1 to the time of entry k (Bezmen 2019, eq. 23 and 24).
+
+    Returns FUSED, or why that cannot be: the state is then the one before, at its time.
+    """
     s, a, b = history.state, (k - 1) * ROW, k * ROW
     for i in range(INPUT, ROW):
         s[b + i] = s[a + i]
@@ -70,19 +107,26 @@ def carry(tables: Tables, history: History, work: Work, k: int, role: int) -> No
     width = MARKS + tables.S * SENSOR_MARKS
     for i in range(width):
         history.marks[k * width + i] = history.marks[(k - 1) * width + i]
-    before = history.t[k - 1]
-    elapsed = 0 if before == NEVER else moment(tables, history.t[k]) - moment(tables, before)
-    remember(tables, history, k, elapsed)
+    before, now = history.marks[marks_at(tables, k - 1) + AT], moment(tables, history.t[k])
+    elapsed = 0 if before == NEVER else whole_steps(tables, now - before)
+    remember(tables, history, k, max(elapsed, 0))
+    fault = FUSED
     if elapsed == 0:
         row_copy(s, b, s, a, X)
         for i in range(LD):
             row_copy(s, b + COVARIANCE + i * LD, s, a + COVARIANCE + i * LD, LD)
-    elif tables.covariance:
-        q = disturb(tables, history, work, k)
-        predict(s, a, b, elapsed * 1e-9, q, work.rows)
-        undisturb(tables, history, work, k)
-    else:
+    elif elapsed < 0:
+        fault = BAD_CLOCK
+    elif not tables.covariance:
         move(s, a, b, elapsed * 1e-9, tables.q)
+    elif not forecast(tables, history, work, k, elapsed * 1e-9):
+        fault = BAD_COVARIANCE
+    history.marks[marks_at(tables, k) + AT] = now
+    if fault != FUSED:
+        hold(tables, history, k)
+    if fault == BAD_COVARIANCE:
+        restart(tables, history, k)
+    return fault
 
 
 @inline
@@ -109,18 +153,29 @@ def correct(tables: Tables, history: History, work: Work, k: int, sensor: int) -
             return FUSED
     if not has_vote(tables, history, work, k, sensor):
         return SKIPPED
-    innovate(tables, history, work, k, sensor, m)
+    work.factor[0] = noise_factor(tables, history, k, sensor)
+    sound = True
     if tables.covariance:
-        work.factor[0] = noise_factor(tables, history, k, sensor)
-        weigh(tables, history, work, k, sensor, m)
+        sound = compare(tables, history, work, k, sensor, m)
+    else:
+        innovate(tables, history, work, k, sensor, m)
+    if not sound:
+        restart(tables, history, k)
+        return BAD_COVARIANCE
+    if not finite(work.nu, m):
+        return BAD_NUMBER
+    if tables.covariance:
         if not cholesky(work.S, work.L, m):
+            take_noise(tables, history, work, k, sensor, m)
+            if cholesky(work.S, work.L, m):  # then it is P that is none
+                restart(tables, history, k)
             return BAD_COVARIANCE
         history.nis[k], history.dof[k] = mahalanobis(work, m), m
         if not accept(tables, history, work, k, sensor, m):
             return GATED
     if not gain(tables, history, work, k, sensor, m):
         return BAD_COVARIANCE
-    update(tables, history, work, k, sensor, m)
+    amend(tables, history, work, k, sensor, m)
     return FUSED
 
 

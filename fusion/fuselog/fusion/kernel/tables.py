@@ -7,7 +7,7 @@ import numpy as np
 
 NEVER = np.iinfo(np.int64).min  # the time of a filter that has seen nothing
 
-DECISIONS = 11  # kinds of ``Decision``
+DECISIONS = 12  # kinds of ``Decision``
 SAMPLE_WIDTH = 3  # numbers that come with a sample besides what was measured: the position of a beacon
 
 # A flat array outside of a kernel, a bare pointer inside; no one type describes both.
@@ -110,6 +110,9 @@ class Tables(NamedTuple):
     stills: int  # what a standstill tells, of all sensors
     still: Ints  # (stills, 4) sensor, state, the number whose mean that then is or -1 for 0, place of the variance
     window_ns: int  # how late a sample may be
+    step_ns: int  # that the model moves by; 0: any time
+    iterations: int  # of the iterated filter: most linearisations of one sample
+    tolerance: float  # change, in standard deviations, at which it is done
 
 
 class History(NamedTuple):
@@ -127,7 +130,7 @@ class History(NamedTuple):
     decision: Bytes  # (C,)
     z: Floats  # (C, M + SAMPLE_WIDTH)
     R: Floats  # (C, M * M)
-    marks: Ints  # (C, MARKS + S * SENSOR_MARKS) what is remembered besides the state
+    marks: Ints  # (C, MARKS + S * SENSOR_MARKS) what is remembered besides the state, such as the moment that it is of
     learned: Floats  # (C, learned) factors on noises, and stretches that may be standstills
     state: Floats  # (C, ROW)
     nis: Floats  # (C,)

@@ -84,8 +84,10 @@ class Model:
     densities to their default values; ``covariance`` gives the entries of Q(dt), by pairs of states, in those densities
     and ``DT``, so that what is added in one second does not depend on the rate. Input noise enters as B U B'/dt with
     B = df/du. ``rest`` is the input of a body that does not move, where that is not 0: it holds until the first sample.
-    ``parameters`` are constants that a configuration may set, with their defaults. ``measured`` is what only one sensor
-    measures, by name, as ``with_sensor_states`` adds it.
+    ``parameters`` are constants that a configuration may set, with their defaults. ``limits`` are absolute values of
+    states at and beyond which there is no estimate, such as near a singularity. A model ``by_matrices`` is linear; its
+    F, G and Q are numbers that a configuration gives, in place of ``transition`` and ``covariance``. ``measured`` is
+    what only one sensor measures, by name, as ``with_sensor_states`` adds it.
     """
 
     name: str
@@ -98,6 +100,8 @@ class Model:
     rest: Mapping[str, float] = field(default_factory=dict[str, float])
     parameters: Mapping[str, float] = field(default_factory=dict[str, float])
     rotation: Rotation | None = None
+    limits: Mapping[str, float] = field(default_factory=dict[str, float])
+    by_matrices: bool = False
     measured: Mapping[str, Expr] = field(default_factory=dict[str, Expr])
 
     def __post_init__(self) -> None:
@@ -132,7 +136,7 @@ def check_model(model: Model) -> None:
         if name not in model.states:
             raise NotAModelError("states", name, "a model with a rotation has the states roll, pitch and yaw")
     for name in model.states:
-        if name not in model.transition and name not in turned:
+        if name not in model.transition and name not in turned and not model.by_matrices:
             raise NotAModelError("states", name, "is a state without a transition")
     for name in model.transition:
         if name not in model.states:
@@ -142,6 +146,9 @@ def check_model(model: Model) -> None:
     for name in model.rest:
         if name not in model.inputs:
             raise NotAModelError("rest", name, "has a value at rest but is no input")
+    for name, limit in model.limits.items():
+        if name not in model.states or name in turned or not limit > 0:
+            raise NotAModelError("limits", name, "is not a positive limit of a state")
     names = {*model.states, *model.inputs, *model.parameters}
     known = {DT, *map(symbol, names), *(QUATERNION if turned else ())}
     for name, expression in model.transition.items():

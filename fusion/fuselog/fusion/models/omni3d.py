@@ -4,11 +4,14 @@
 # pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportOperatorIssue=false
 # pyright: reportUnknownParameterType=false, reportArgumentType=false, reportMissingTypeArgument=false
 
+import math
 from collections.abc import Sequence
 
 import sympy as sp
 
 from fuselog.fusion.models.model import DT, Body, Expr, Model, symbols, white_noise
+
+MOST_PITCH = math.radians(85)  # the rates of roll and yaw are infinite at 90 deg, 11 times the body's here
 
 _DENSITIES = {
     **{"x": 0.05, "y": 0.05, "z": 0.06, "roll": 0.03, "pitch": 0.03, "yaw": 0.06},
@@ -68,6 +71,7 @@ def omni3d() -> Model:
         states=dict(zip(names.split(), units, strict=True)),
         transition=dict(zip(names.split(), after, strict=True)),
         noise=_DENSITIES,
+        limits={"pitch": MOST_PITCH},
         covariance=white_noise(*names.split()),
         body=Body(
             position=(s[0], s[1], s[2]),

@@ -4,11 +4,11 @@
 # pyright: reportMissingTypeStubs=false, reportAttributeAccessIssue=false, reportOperatorIssue=false
 # pyright: reportUnknownParameterType=false, reportArgumentType=false, reportMissingTypeArgument=false
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
-from fuselog.fusion.models.model import Body, Expr, Model
+from fuselog.fusion.models.model import Body, Expr, Model, symbol
 
 # What the expressions may use beside the state, in the order in which kernels receive it.
 SENSOR = sp.symbols("lever_x lever_y lever_z gravity origin_x origin_y origin_z", real=True)  # fixed for a sensor
@@ -54,6 +54,28 @@ def quantities(body: Body | None) -> Mapping[str, Expr]:
     field = turn * sp.Matrix(SAMPLE)
     found["azimuth"] = sp.atan2(field[1], field[0])
     return {name: expression for name, expression in found.items() if expression.free_symbols - {*SENSOR, *SAMPLE}}
+
+
+def combination(name: str) -> Expr:
+    """The linear combination called ``combination 0 x v``: states times factors that a configuration gives."""
+    _, row, *states = name.split()
+    return sum((sp.Symbol(f"factor {row} {state}", real=True) * symbol(state) for state in states), sp.Integer(0))
+
+
+def combination_factors(measured: Sequence[str]) -> list[str]:
+    """The names of the factors in all combinations that are measured, in order."""
+    rows = [name.split()[1:] for name in measured if is_combination(name)]
+    return [f"factor {row} {state}" for row, *states in rows for state in states]
+
+
+def is_combination(name: str) -> bool:
+    """Whether this names a linear combination of states."""
+    return name.startswith("combination ")
+
+
+def is_factor(one: sp.Symbol) -> bool:
+    """Whether it is a factor of a combination."""
+    return str(one).startswith("factor ")
 
 
 def _polar(away: sp.Matrix, velocity: sp.Matrix) -> dict[str, Expr]:

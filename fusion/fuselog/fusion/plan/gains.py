@@ -26,7 +26,7 @@ def gain_tables(
 ) -> dict[str, Any]:
     """The gain fields of ``Tables``, but for steady gains; what is wrong is added to ``problems``."""
     gain = config.gain
-    problems += _check_gain(gain, card)
+    problems += _check_gain(gain, card, config.filter.kind)
     read = [
         read_weights(place, variant, card, sensors, rows, problems) for place, variant in variants(config, problems)
     ]
@@ -90,8 +90,10 @@ def variants(config: Config, problems: list[Problem]) -> list[tuple[Place, GainS
     return found or [(("gain",), gain.model_copy(update={"mode": "optimal"}))]
 
 
-def _check_gain(gain: GainSettings, card: ModelCard) -> list[Problem]:
+def _check_gain(gain: GainSettings, card: ModelCard, kind: str) -> list[Problem]:
     problems: list[Problem] = []
+    if kind != "ekf" and gain.mode != "optimal":
+        problems.append(Problem(("gain", "mode"), f"filter: {kind} has the optimal gain only"))
     modes = {gain.mode, *(entry.mode or "fixed" for entry in gain.schedule)}
     shared = "fixed" in modes and gain.form != "matrix"
     if gain.cycle and not shared:

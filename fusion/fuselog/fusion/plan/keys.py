@@ -7,15 +7,15 @@ from fuselog.fusion.config import Problem, SensorSettings
 from fuselog.fusion.plan.readings import PARTS, Part, Shape
 from fuselog.fusion.plan.sensors import FORCE, SensorPlan
 
-_READS = ("state", "polar", "beacon_range", "pressure")  # numbers of the message, with their covariance
+_READS = ("state", "linear", "polar", "beacon_range", "pressure")  # numbers of the message, with their covariance
 _HELD = ("constant", "zero_velocity")
 KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(  # key: the kinds that it means something to
     {
-        "fields": ("state", "polar", "input"),
+        "fields": ("state", "linear", "polar", "input"),
         "value": ("beacon_range", "pressure"),
         "beacon": ("beacon_range",),
         "variance": _READS,
-        "covariance": ("state", "polar", "beacon_range"),
+        "covariance": ("state", "linear", "polar", "beacon_range"),
         "noise_scale": _READS,
         "scale": (*_READS, "input"),
         "offset": (*_READS, "constant", "input"),

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from fuselog.fusion.config import Config, Problem, Source, did_you_mean, read_source, validate
 from fuselog.fusion.gate import chi_square_quantile
 from fuselog.fusion.kernel.cache import ModelCard, kernel_module, model_card
-from fuselog.fusion.kernel.declared import Declared, ModelError, find_model, known_models
+from fuselog.fusion.kernel.declared import LINEAR, Declaration, Declared, ModelError, find_model, known_models
 from fuselog.fusion.kernel.tables import Role, Tables
 from fuselog.fusion.plan.gains import gain_tables
 from fuselog.fusion.plan.keys import check_keys, check_shared
+from fuselog.fusion.plan.linear import check_seen, read_linear, without_matrices
 from fuselog.fusion.plan.robust import robust_tables
 from fuselog.fusion.plan.sensors import FORCE, SensorPlan, plan_sensor, quantity_of
 from fuselog.fusion.plan.states import check_levers, sensor_states, walks
@@ -27,7 +28,7 @@ class Plan:
 
     config: Config
     source: Source
-    model: Declared
+    model: Declaration
     card: ModelCard
     sensors: tuple[SensorPlan, ...]
     measured: tuple[str, ...]  # the generated quantities, in the order of their numbers
@@ -40,7 +41,7 @@ class Plan:
     @property
     def kernel(self) -> ModuleType:
         """The compiled filter."""
-        return kernel_module(self.model, self.measured, careful=bool(self.tables.care.any()))
+        return kernel_module(self.model, self.measured, self.config.filter.kind, careful=bool(self.tables.care.any()))
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -63,15 +64,18 @@ def load_plan(path: str | Path) -> Plan:
 
 def compile_plan(config: Config, source: Source, known_problems: Sequence[Problem] = ()) -> Plan:
     """Resolve names, rows, gates and gains; raises ``ConfigError`` with every problem, the known ones included."""
+    problems: list[Problem] = [] if config.model.name == LINEAR else without_matrices(config.model)
+    linear = read_linear(config.model, problems) if config.model.name == LINEAR else None
+    if config.model.name == LINEAR and linear is None:
+        raise source.complain(_all_problems(known_problems, problems))
     try:
-        model = find_model(config.model.name, Path(source.name).parent)
+        model = linear[0] if linear else find_model(config.model.name, Path(source.name).parent)
         card = model_card(model)
     except (KeyError, ModelError) as error:
         reason = str(error)
         if isinstance(error, KeyError):
             reason = f"there is no model {config.model.name!r}{did_you_mean(config.model.name, known_models())}"
         raise source.complain([*known_problems, Problem(("model", "name"), reason)]) from error
-    problems: list[Problem] = []
     sensors = [
         plan_sensor(rank, name, settings, card, problems)
         for rank, (name, settings) in enumerate(config.sensors.items())
@@ -80,7 +84,9 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         check_keys(sensor, problems)
     check_shared(sensors, problems)
     own_noise, added = list(card.noise), sensor_states(sensors, card, problems)
-    if added and not problems:
+    if added and not isinstance(model, Declared):
+        problems.append(Problem(("sensors",), "a model by matrices has no states of sensors; put them into it"))
+    elif isinstance(model, Declared) and added and not problems:
         model = model.with_sensors(added)
         card = model_card(model)
         check_levers(added, card, problems)
@@ -92,9 +98,11 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
     robust = robust_tables(config, card, sensors, gains["gain"], problems)
     problems += check_rates(config, card, sensors)
     problems += _check_without_covariance(config)
-    # What is missing may be what is wrong: nothing is said of a place below which there is a known problem.
-    told = {problem.place[:depth] for problem in known_problems for depth in range(len(problem.place) + 1)}
-    problems = [*known_problems, *(problem for problem in problems if problem.place not in told)]
+    problems += _check_kind(config)
+    if linear and not problems:
+        H = [_seen(sensor, sensor_rows, card) for sensor, sensor_rows in zip(sensors, rows, strict=True)]
+        problems += check_seen(config, linear[1], sensors, H)
+    problems = _all_problems(known_problems, problems)
     if problems:
         raise source.complain(problems)
     given = np.array([state in config.initial.state for state in card.states])
@@ -102,6 +110,7 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
     if any(_level(sensor, card) >= 0 for sensor in sensors):
         fed |= {list(card.states).index(name) for name in ("roll", "pitch")}
     begin = {state: value for state, (_, value) in walk.items()} | config.initial.state
+    drifts = {state: each.drift**2 for state, (each, _) in walk.items()}
     deviation = {state: each.sd for state, (each, _) in walk.items()} | config.initial.sd
     sd = np.array([deviation.get(state, 1.0) for state in card.states])
     M = max(sensor.dof for sensor in sensors)
@@ -118,12 +127,15 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         threshold=np.array([_thresholds(sensor, M) for sensor in sensors]).ravel(),
         sensor=np.array([_place(sensor, config) for sensor in sensors]).ravel(),
         level=np.array([_level(sensor, card) for sensor in sensors]),
-        q=_constants(config, card, {state: each.drift**2 for state, (each, _) in walk.items()}),
+        q=np.concatenate([linear[1].numbers if linear else _constants(config, card, drifts), _factors(sensors)]),
         window_ns=round(config.lag.window * 1e9),
+        step_ns=round(linear[1].step * 1e9) if linear else 0,
+        iterations=config.filter.iterations,
+        tolerance=config.filter.tolerance,
         **gains,
         **robust,
     )
-    kernel = kernel_module(model, measured, careful=bool(tables.care.any()))
+    kernel = kernel_module(model, measured, config.filter.kind, careful=bool(tables.care.any()))
     problems += check_frozen(config, x, card, sensors, tables, kernel, P)
     settled = settle_gains(config, x, card, sensors, tables, kernel)
     if isinstance(settled, Problem):
@@ -143,6 +155,12 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         P=P,
         known=given | np.array([index not in fed for index in range(len(card.states))]),
     )
+
+
+def _all_problems(known: Sequence[Problem], more: Sequence[Problem]) -> list[Problem]:
+    """What is missing may be what is wrong: nothing more is said of a place below which there is a known problem."""
+    told = {problem.place[:depth] for problem in known for depth in range(len(problem.place) + 1)}
+    return [*known, *(problem for problem in more if problem.place not in told)]
 
 
 def _check_names(config: Config, card: ModelCard, noise: Sequence[str], states: Sequence[str]) -> list[Problem]:
@@ -172,6 +190,19 @@ def _check_without_covariance(config: Config) -> list[Problem]:
     return [Problem(place, "needs the covariance, and gain.covariance is none") for place in places]
 
 
+def _check_kind(config: Config) -> list[Problem]:
+    """What only the extended filter has."""
+    kind, keys = config.filter.kind, ("robust", "adapt", "gate_recovery", "stationary")
+    if kind == "ekf":
+        return []
+    places: list[tuple[str, ...]] = [
+        ("sensors", name, key) for name, s in config.sensors.items() for key in keys if getattr(s, key) is not None
+    ]
+    places += [("model", "adapt")] if config.model.adapt else []
+    places += [("smooth",)] if config.smooth is not None else []
+    return [Problem(place, f"needs filter: ekf, and the filter is {kind}") for place in places]
+
+
 def _rows(sensor: SensorPlan, card: ModelCard, measured: list[str]) -> list[tuple[int, int]]:
     """For each number of the sensor: what it measures (a state, or -1 - a quantity), and the state it can give."""
     states = list(card.states)
@@ -181,6 +212,11 @@ def _rows(sensor: SensorPlan, card: ModelCard, measured: list[str]) -> list[tupl
         quantity = own if own in card.quantities else quantity_of(sensor, name, card)
         given = {"polar": None, "beacon_range": None, "magnetometer": "yaw"}.get(sensor.settings.kind, name)
         seed = states.index(given) if given in states else -1
+        if sensor.settings.kind == "linear":
+            combined = sum(other.startswith("combination ") for other in measured)
+            measured.append(" ".join(["combination", str(combined), *_factors_of(sensor, name)]))
+            rows.append((-len(measured), -1))
+            continue
         if quantity is None or quantity not in card.quantities:
             rows.append((max(seed, 0), seed))
             continue
@@ -196,6 +232,26 @@ def _level(sensor: SensorPlan, card: ModelCard) -> int:
         return -1
     first = sensor.names.index("ax")
     return first if sensor.names[first : first + 3] == tuple(FORCE) else -1
+
+
+def _factors_of(sensor: SensorPlan, name: str) -> dict[str, float]:
+    """The factors of the states in a number of a linear sensor, but for those that are 0."""
+    return {state: factor for state, factor in sensor.settings.H.get(name, {}).items() if factor != 0}
+
+
+def _factors(sensors: Sequence[SensorPlan]) -> NDArray[np.float64]:
+    """The factors of all linear sensors, in the order of the combinations."""
+    linear = [(sensor, name) for sensor in sensors if sensor.settings.kind == "linear" for name in sensor.names]
+    return np.array([factor for sensor, name in linear for factor in _factors_of(sensor, name).values()])
+
+
+def _seen(sensor: SensorPlan, rows: Sequence[tuple[int, int]], card: ModelCard) -> NDArray[np.float64]:
+    """H (m, N) of a sensor of a model by matrices."""
+    H, states = np.zeros((len(rows), len(card.states))), list(card.states)
+    for i, (name, (what, _)) in enumerate(zip(sensor.names, rows, strict=True)):
+        for state, factor in (_factors_of(sensor, name) if what < 0 else {states[what]: 1.0}).items():
+            H[i, states.index(state)] = factor
+    return H
 
 
 def _constants(config: Config, card: ModelCard, drifts: Mapping[str, float]) -> NDArray[np.float64]:

@@ -4,7 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fuselog.fusion.config import Problem, SensorSettings, did_you_mean
+from fuselog.fusion.design.matrices import DesignError, as_covariance
 from fuselog.fusion.kernel.cache import ModelCard
 from fuselog.fusion.kernel.tables import Role
 from fuselog.fusion.plan.readings import ANGLES, POLAR
@@ -32,6 +36,7 @@ class SensorPlan:
     names: tuple[str, ...]  # the numbers that a sample measures, in the order of its rows
     angles: tuple[bool, ...]
     dof: int
+    R: NDArray[np.float64] | None  # (m, m) covariance where the configuration says it, else that of each message
     turn: int = -1  # where roll, pitch, yaw of a whole attitude begin among the numbers, in a model with a quaternion
 
     @property
@@ -66,6 +71,7 @@ def _known(kind: str, card: ModelCard) -> Sequence[str]:
     known: Mapping[str, Sequence[str]] = {
         "input": list(card.inputs),
         "state": _measurable(card, FORCE),
+        "linear": (),
         "constant": _measurable(card),
         "zero_velocity": _measurable(card),
         "polar": POLAR,
@@ -93,6 +99,10 @@ def plan_sensor(rank: int, name: str, settings: SensorSettings, card: ModelCard,
         names = settings.fuse or _standing(card)
         if not names:
             problems.append(Problem((*place, "kind"), f"{card.name} has no velocity that could be 0"))
+    elif kind == "linear":
+        known = list(settings.H)
+        names = settings.fuse or list(known)
+        problems += _check_combinations(place, settings, card)
     elif kind not in ("state", "constant"):
         names = settings.fuse or list(known)
     if not names and known and kind != "zero_velocity":
@@ -109,6 +119,7 @@ def plan_sensor(rank: int, name: str, settings: SensorSettings, card: ModelCard,
             if number not in names:
                 reason = f"{number!r} is not fused{did_you_mean(number, names)}"
                 problems.append(Problem((*place, key, number), reason))
+    R = _covariance(place, settings, names, problems)
     hold = {"next": Role.DRIVES_NEXT, "previous": Role.DRIVES_PREVIOUS}[settings.hold]
     return SensorPlan(
         rank=rank,
@@ -118,6 +129,7 @@ def plan_sensor(rank: int, name: str, settings: SensorSettings, card: ModelCard,
         names=tuple(names),
         angles=tuple(n in ANGLES or card.states.get(n) == "rad" for n in names),
         dof=len(names),
+        R=R,
         turn=_whole_attitude(settings, names, card, problems, place),
     )
 
@@ -153,3 +165,39 @@ def quantity_of(sensor: SensorPlan, name: str, card: ModelCard) -> str | None:
     if name in RATE and name not in card.states:
         return RATE[name]
     return AT_SENSOR.get(name) if mounted or name not in card.states else None
+
+
+def _check_combinations(place: tuple[str | int, ...], settings: SensorSettings, card: ModelCard) -> list[Problem]:
+    """What is wrong with the rows of H."""
+    problems = [] if settings.H else [Problem((*place, "H"), "is required: {number: {state: factor}}")]
+    plain = [state for state in card.states if not (card.rotates and state in ROTATION)]
+    for number, factors in settings.H.items():
+        if not any(factors.values()):
+            problems.append(Problem((*place, "H", number), "measures nothing: all factors are 0"))
+        for state in factors:
+            if state not in plain:
+                reason = f"{card.name} has no state {state!r} to combine{did_you_mean(state, plain)}"
+                problems.append(Problem((*place, "H", number, state), reason))
+    return problems
+
+
+def _covariance(
+    place: tuple[str | int, ...], settings: SensorSettings, names: Sequence[str], problems: list[Problem]
+) -> NDArray[np.float64] | None:
+    """The covariance (m, m) that a configuration gives, in place of what messages say."""
+    if settings.kind != "linear" and settings.H:
+        problems.append(Problem((*place, "H"), "is for kind: linear"))
+    if settings.R is None:
+        bare = [name for name in names if name not in settings.noise]
+        return None if bare else np.diag([settings.noise[name] ** 2 for name in names])
+    if settings.noise or settings.covariance or settings.variance:
+        problems.append(Problem((*place, "R"), "is in place of noise, variance and covariance; give one"))
+    if settings.kind == "input":
+        problems.append(Problem((*place, "R"), "an input has a noise per root hertz, for each of its numbers"))
+    try:
+        return as_covariance("R", settings.R, len(names), definite=True)
+    except DesignError as error:
+        problems.append(Problem((*place, "R"), str(error).removeprefix("R ")))
+    except ValueError:
+        problems.append(Problem((*place, "R"), f"expected {len(names)} rows of {len(names)}"))
+    return None

@@ -73,12 +73,16 @@ def check_rates(config: Config, card: ModelCard, sensors: Sequence[SensorPlan]) 
     for name in gain.rates:
         if name not in measuring:
             problems.append(Problem((*_RATES, name), "is no sensor that corrects"))
+    step = config.model.step
+    for name, rate in gain.rates.items():
+        if step is not None and abs(1 / rate / step - round(1 / rate / step)) > 1e-6:
+            problems.append(Problem((*_RATES, name), f"every {1 / rate:g} s is no whole number of steps of {step:g} s"))
     for name, sensor in measuring.items():
         if name not in gain.rates:
             needs = "mode: steady_state needs" if gain.mode == "steady_state" else "gain.rates lacks"
             problems.append(Problem(_RATES, f"{needs} the rate of {name} (Hz)"))
         bare = [number for number in sensor.names if number not in sensor.settings.noise]
-        if bare:
+        if sensor.R is None and bare:
             reason = f"a steady gain needs the noise of {', '.join(bare)} here, not in each message"
             problems.append(Problem(("sensors", name), reason))
         if sensor.settings.kind == "beacon_range":
@@ -205,7 +209,7 @@ class Nominal:
 
     def steps(self, order: Round) -> list[Step]:
         """The period as linear steps."""
-        noise = {s.rank: np.diag([s.settings.noise.get(name, 1.0) ** 2 for name in s.names]) for s in self._sensors}
+        noise = {s.rank: np.eye(s.dof) if s.R is None else s.R for s in self._sensors}
         moves = zip(order.dt, order.rank, strict=True)
         return [make_step(*self.move(dt), self.seen(rank), noise[rank]) for dt, rank in moves]
 

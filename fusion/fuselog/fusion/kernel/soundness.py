@@ -1,0 +1,132 @@
+"""What keeps an estimate usable: a sample that would break it is refused, and the state before it is kept.
+
+Compiled with ``step``.
+"""
+
+import math
+
+from fuselog.fusion.kernel.blank import LD, LIMITED, LIMITS, N, X
+from fuselog.fusion.kernel.layout import (
+    AT,
+    BAD_COVARIANCE,
+    BAD_NUMBER,
+    COVARIANCE,
+    DELTA,
+    FUSED,
+    KNOWN,
+    RESETS,
+    ROW,
+    SINGULAR,
+)
+from fuselog.fusion.kernel.moments import marks_at, moment
+from fuselog.fusion.kernel.rows import row_add, row_copy
+from fuselog.fusion.kernel.seeding import give_variance
+from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
+from fuselog.schemas.compiled import inline
+
+INFLATION = 4.0  # of the variances that a covariance begins anew with
+JITTER = 10  # a stamp may be off a step of the model by one part in this many
+
+
+@inline
+def whole_steps(tables: Tables, elapsed: int) -> int:
+    """The time (ns) of the whole steps that a model of fixed steps makes in ``elapsed`` (ns); -1 where it is between.
+
+    A model for any time makes that time.
+    """
+    if tables.step_ns == 0:
+        return elapsed
+    over = elapsed % tables.step_ns
+    if over * JITTER <= tables.step_ns:
+        return elapsed - over
+    short = tables.step_ns - over
+    return elapsed + short if short * JITTER <= tables.step_ns else -1
+
+
+@inline
+def finite(values: Floats, count: int) -> bool:
+    """Whether the first numbers are; a sum that overflows is not, either."""
+    total = 0.0
+    for i in range(count):
+        total += values[i]
+    return -math.inf < total < math.inf
+
+
+@inline
+def wrong(tables: Tables, history: History, work: Work, k: int) -> int:
+    """What is wrong with the state of entry k; FUSED where nothing is."""
+    s, w, b, total = history.state, work.rows, k * ROW, 0.0
+    for i in range(X):
+        total += s[b + i]
+    if not -math.inf < total < math.inf:
+        return BAD_NUMBER
+    if tables.covariance:
+        P, positive = b + COVARIANCE, True
+        row_copy(w, DELTA, s, P, LD)
+        for i in range(1, N):
+            row_add(w, DELTA, s, P + i * LD, 1.0, LD)
+        total = 0.0
+        for i in range(N):
+            total += w[DELTA + i]
+            positive &= s[P + i * LD + i] >= 0.0
+        if not (positive and -math.inf < total < math.inf):
+            return BAD_COVARIANCE
+    return SINGULAR if beyond(history, k) else FUSED
+
+
+@inline
+def beyond(history: History, k: int) -> bool:
+    """Whether a known state is where the model has no estimate; one that nobody knows is kept away from there."""
+    if not LIMITED:
+        return False
+    s, b, found = history.state, k * ROW, False
+    for i in range(N):
+        if abs(s[b + i]) >= LIMITS[i]:
+            found |= s[b + KNOWN + i] != 0.0
+            if s[b + KNOWN + i] == 0.0:
+                s[b + i] = 0.0
+    return found
+
+
+@inline
+def hold(tables: Tables, history: History, k: int) -> None:
+    """Entry k has the state of the entry before it, of that moment."""
+    for i in range(ROW):
+        history.state[k * ROW + i] = history.state[(k - 1) * ROW + i]
+    history.marks[marks_at(tables, k) + AT] = history.marks[marks_at(tables, k - 1) + AT]
+
+
+@inline
+def restart(tables: Tables, history: History, k: int) -> None:
+    """The covariance of entry k is no covariance any more: begin anew with the last good variances, inflated."""
+    spread_out(history, k)
+    history.marks[marks_at(tables, k) + RESETS] += 1
+
+
+@inline
+def spread_out(history: History, k: int) -> None:
+    """Uncorrelated states at entry k, of the variances at entry k - 1 times ``INFLATION``."""
+    s, b, a = history.state, k * ROW, (k - 1) * ROW
+    for i in range(N):
+        variance = s[a + COVARIANCE + i * LD + i]
+        more = INFLATION * variance
+        give_variance(s, b + COVARIANCE, i, more if more < math.inf else variance)
+
+
+@inline
+def lose(tables: Tables, history: History, k: int) -> None:
+    """The state has left the region where the model has an estimate: what sensors give waits for a measurement again.
+
+    So do states with a limit; all others stay, with more variance.
+    """
+    s, b = history.state, k * ROW
+    spread_out(history, k)
+    for i in range(N):
+        if LIMITS[i] < math.inf:
+            s[b + i], s[b + KNOWN + i] = 0.0, 0.0
+    for sensor in range(tables.S):
+        for i in range(tables.rows[sensor]):
+            state = tables.seed[sensor * tables.M + i]
+            if state >= 0:
+                s[b + KNOWN + state] = 0.0
+    history.marks[marks_at(tables, k) + AT] = moment(tables, history.t[k])
