@@ -32,7 +32,8 @@ GOAL_RATIO, GOAL_US = 60, 2.0
 
 def plan() -> Plan:
     sensors = {
-        name: {"topic": f"/{name}", "fuse": numbers, "gate": GATE, "remove_gravity": False}
+        name: {"topic": f"/{name}", "fuse": numbers, "gate": GATE}
+        | ({"remove_gravity": False} if name == "imu" else {})
         for name, (numbers, _, _) in SENSORS.items()
     }
     states = MOTIONS["omni3d"].names

@@ -73,7 +73,7 @@ def fixed() -> Plan:
         for number in numbers:
             weights.setdefault(number, {})[f"{name}.{number}"] = 0.2
     sensors = {
-        name: {"topic": f"/{name}", "fuse": numbers, "remove_gravity": False}
+        name: {"topic": f"/{name}", "fuse": numbers} | ({"remove_gravity": False} if name == "imu" else {})
         for name, (numbers, _, _) in SENSORS.items()
     }
     gain = {"mode": "fixed", "form": "matrix", "weights": weights, "covariance": "none"}

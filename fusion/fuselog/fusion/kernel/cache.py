@@ -15,6 +15,7 @@ from pathlib import Path
 from types import ModuleType
 
 from fuselog.fusion.kernel.declared import Declaration
+from fuselog.fusion.kernel.inlining import write_out
 from fuselog.schemas.errors import FuselogError
 
 _HERE = Path(__file__).parent
@@ -121,7 +122,7 @@ def kernel_module(
         generated = generate(model, {q: combination(q) if is_combination(q) else available[q] for q in measured})
         texts = ("matrices",) if model.by_matrices else ()
         texts = (*texts, *_BEFORE, _FILTERS[kind], *(_CAREFUL if careful else _PLAIN), *_AFTER)
-        _store(path, _HEAD.format(name=model.name) + _decorate(generated) + _join(texts))
+        _store(path, write_out(_HEAD.format(name=model.name) + _decorate(generated) + _join(texts)))
     return _load(path)
 
 
