@@ -30,8 +30,7 @@ def kernel(function: _Kernel) -> _Kernel:
 
 def inline(function: _Kernel) -> _Kernel:
     """Compile ``function`` for use inside kernels only; it is cached with the kernel that calls it."""
-    options = {"error_model": "numpy", "inline": "never", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return cast(_Kernel, numba.njit(**options)(function))
+    return cast(_Kernel, numba.njit(error_model="numpy", inline="never")(function))
 
 
 class _Load(Protocol):
