@@ -90,7 +90,7 @@ def test_no_such_model() -> None:
     assert problems(GOOD.replace("unicycle", "unicicle")) == [
         "2:9: model.name: there is no model 'unicicle' (did you mean unicycle?)"
     ]
-    known = ", ".join(MODEL_NAMES)
+    known = ", ".join([*MODEL_NAMES, "linear"])
     assert problems(GOOD.replace("unicycle", "zeppelin")) == [
         f"2:9: model.name: there is no model 'zeppelin' (known: {known})"
     ]
@@ -123,7 +123,7 @@ def test_what_is_no_configuration_has_one_place(text: str, expected: str) -> Non
         ("topics: /a", "7:5: sensors.wheel.topics: unknown key (did you mean topic?)"),
         (
             "kind: lidar",
-            "7:5: sensors.wheel.kind: input should be 'state', 'polar', 'beacon_range', 'magnetometer', 'pressure', ",
+            "7:5: sensors.wheel.kind: input should be 'state', 'linear', 'polar', 'beacon_range', 'magnetometer', ",
         ),
         ("fields: 3", "7:5: sensors.wheel.fields: input should be a valid dictionary, got 3"),
     ],
