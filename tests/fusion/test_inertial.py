@@ -154,7 +154,11 @@ def test_measured_quantities_and_their_jacobians(model: str) -> None:
             engine = Engine(plan)
             driven(model, engine, u, state, np.eye(len(state.x)))
             nu, R = np.linspace(0.01, 0.02, len(h)), 1e-2 * np.eye(len(h))
-            sample = Sample(SECOND, sensor, h + nu, R, tuple(extra))
+            z = h + nu
+            if sensor == "vision":  # a whole attitude is compared by the turn to it
+                z = state.plus(np.concatenate([nu, np.zeros(3)])).seen(sensor, u, extra)
+                H = np.eye(3, 6)
+            sample = Sample(SECOND, sensor, z, R, tuple(extra))
             track = engine.advance(events_of(plan, [sample]))
             assert track.decision[0] == Decision.FUSED
             assert track.innovation[0, : len(h)] == pytest.approx(nu, abs=1e-10)

@@ -32,7 +32,8 @@ def problems(model: str, *sensors: str) -> list[str]:
         ("fuse: [v], fields: {w: speed}", "s0.fields.w: 'w' is not fused (known: v)"),
         (
             "kind: magnetometer, scale: {heading: 2}",
-            "s0.scale: means nothing to kind: magnetometer, only to state, polar, beacon_range, pressure, input",
+            "s0.scale: means nothing to kind: magnetometer, only to state, linear, polar, beacon_range, pressure, "
+            "input",
         ),
         (
             "kind: polar, remove_gravity: false",
@@ -51,7 +52,7 @@ def test_keys_that_mean_nothing(sensor: str, expected: str) -> None:
 def test_keys_that_mean_nothing_to_an_input() -> None:
     assert problems("differential_drive", f"{INPUT}, gate: 0.9") == [
         "s0.gate: means nothing to kind: input, only to "
-        "state, polar, beacon_range, pressure, constant, zero_velocity, magnetometer"
+        "state, linear, polar, beacon_range, pressure, constant, zero_velocity, magnetometer"
     ]
     assert problems("differential_drive", f"{INPUT}, mount: {{xyz: [1, 0, 0]}}") == [
         "s0.mount.xyz: an input is what the body itself does; only rpy turns it"

@@ -139,7 +139,7 @@ def test_any_time_is_discretised_as_by_van_loan(dt, scale) -> None:
         plan = make_plan(configuration(MODEL | {"Fc": Fc.tolist(), "Qc": Qc.tolist()}))
         kernel = kernel_of(plan)
         linear = blank_linear(kernel, plan.tables.M)
-        history = begin_history(kernel, plan.tables.M, 4, 2, plan.x, plan.P, plan.known, np.zeros(4))
+        history = begin_history(kernel, plan.tables, 2, plan.x, plan.P, plan.known, np.zeros(4))
         kernel.transition(plan.tables, history, linear, 0, dt)
         wanted = expm(Fc * dt)
         short, halvings = dt, 0

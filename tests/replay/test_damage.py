@@ -169,7 +169,7 @@ def test_a_bomb_is_refused_without_its_memory(tmp_path: Path, compression: str, 
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     assert rows == []
     assert log.losses
-    assert grown < 100 << 10  # KiB
+    assert grown < 200 << 10  # KiB; two chunks of the most that one may be
 
 
 def bomb(compression: str, _made: dict[str, bytes] = {}) -> bytes:  # noqa: B006  made once

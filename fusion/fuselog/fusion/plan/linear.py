@@ -119,7 +119,7 @@ def _matrix(settings: ModelSettings, key: str, n: int, width: int, found: list[P
 
 def without_matrices(settings: ModelSettings) -> list[Problem]:
     """Keys of a model by matrices that another model was given."""
-    set_here = [key for key in _GIVEN if key in settings.model_fields_set]
+    set_here = [key for key in _GIVEN if getattr(settings, key)]
     return [Problem(("model", key), f"is for name: {LINEAR}") for key in set_here]
 
 
