@@ -93,3 +93,7 @@ def test_fields_of_ones_own_are_told_apart() -> None:
     compile_plan(*parse_config("\n".join(["fuselog: 1", "model: differential_drive", "sensors:", *lines])))
     lines[1] = "  b: {topic: /a, kind: constant, fuse: [y], noise: {y: 1}}"
     compile_plan(*parse_config("\n".join(["fuselog: 1", "model: differential_drive", "sensors:", *lines])))
+
+
+def test_a_model_without_a_body_cannot_be_seen() -> None:
+    assert problems("brownian", "kind: beacon_range") == ["s0.kind: brownian has no body to be seen: no range"]

@@ -93,7 +93,7 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
     walk = walks(added, config)
     problems += _check_names(config, card, own_noise, [*card.states, *(walk if problems else ())])
     measured: list[str] = []
-    rows = [_rows(sensor, card, measured) for sensor in sensors]
+    rows = [_rows(sensor, card, measured, problems) for sensor in sensors]
     gains = gain_tables(config, card, sensors, rows, problems)
     robust = robust_tables(config, card, sensors, gains["gain"], problems)
     problems += check_rates(config, card, sensors)
@@ -203,7 +203,7 @@ def _check_kind(config: Config) -> list[Problem]:
     return [Problem(place, f"needs filter: ekf, and the filter is {kind}") for place in places]
 
 
-def _rows(sensor: SensorPlan, card: ModelCard, measured: list[str]) -> list[tuple[int, int]]:
+def _rows(sensor: SensorPlan, card: ModelCard, measured: list[str], problems: list[Problem]) -> list[tuple[int, int]]:
     """For each number of the sensor: what it measures (a state, or -1 - a quantity), and the state it can give."""
     states = list(card.states)
     rows: list[tuple[int, int]] = []
@@ -217,6 +217,8 @@ def _rows(sensor: SensorPlan, card: ModelCard, measured: list[str]) -> list[tupl
             measured.append(" ".join(["combination", str(combined), *_factors_of(sensor, name)]))
             rows.append((-len(measured), -1))
             continue
+        if quantity not in card.quantities and sensor.settings.kind in ("polar", "beacon_range", "magnetometer"):
+            problems.append(Problem(("sensors", sensor.name, "kind"), f"{card.name} has no body to be seen: no {name}"))
         if quantity is None or quantity not in card.quantities:
             rows.append((max(seed, 0), seed))
             continue
