@@ -6,16 +6,14 @@ import numpy as np
 import pymap3d
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.fusion.from_python import from_python
 
 from fuselog.fusion.geodesy import enu_from_geodetic
 from fuselog.fusion.intake.mounts import Mount, StaticTransforms
-from fuselog.fusion.kernel.rotations import (
-    matrix_from_quaternion,
-    quaternion_product,
-    quaternions_from_rpy,
-    rpy_from_quaternion,
-)
+from fuselog.fusion.kernel import rotations
 
+rpy_from_quaternion = from_python(rotations.rpy_from_quaternion)
+quaternion_product = from_python(rotations.quaternion_product)
 RNG = np.random.default_rng(6)
 
 
@@ -42,7 +40,7 @@ def test_roll_pitch_yaw_both_ways() -> None:
         theirs = Rotation.from_quat([x, y, z, w]).as_euler("ZYX")[::-1]
         assert ours == pytest.approx(theirs, abs=1e-7)
     rpy = RNG.uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (500, 3))
-    ours = quaternions_from_rpy(rpy)
+    ours = rotations.quaternions_from_rpy(rpy)
     theirs = Rotation.from_euler("ZYX", rpy[:, ::-1]).as_quat()
     assert np.abs(np.abs(np.sum(ours * theirs, axis=1)) - 1).max() < 1e-14
     for quaternion, angles in zip(ours, rpy, strict=True):
@@ -52,7 +50,7 @@ def test_roll_pitch_yaw_both_ways() -> None:
 def test_straight_up_is_no_domain_error() -> None:
     for pitch in (np.pi / 2, -np.pi / 2):
         for roll, yaw in RNG.uniform(-3, 3, (50, 2)):
-            found = rpy_from_quaternion(*quaternions_from_rpy(np.array([[roll, pitch, yaw]]))[0])
+            found = rpy_from_quaternion(*rotations.quaternions_from_rpy(np.array([[roll, pitch, yaw]]))[0])
             assert np.isfinite(found).all()
             assert found[1] == pytest.approx(pitch, abs=1e-7)
 
@@ -63,7 +61,7 @@ def test_products_and_matrices() -> None:
         expected = Rotation.from_quat(p) * Rotation.from_quat(q)
         product = np.array(quaternion_product(tuple(p), tuple(q)))
         assert Rotation.from_quat(product).as_matrix() == pytest.approx(expected.as_matrix(), abs=1e-13)
-        assert matrix_from_quaternion(p) == pytest.approx(Rotation.from_quat(p).as_matrix(), abs=1e-14)
+        assert rotations.matrix_from_quaternion(p) == pytest.approx(Rotation.from_quat(p).as_matrix(), abs=1e-14)
 
 
 def random_mount() -> tuple[Mount, np.ndarray]:

@@ -5,10 +5,17 @@ import math
 import mpmath
 import numpy as np
 import pytest
+from tests.fusion.from_python import from_python
 
 from fuselog.fusion.kernel import scalars
-from fuselog.fusion.kernel.scalars import asin, atan2, cos, dsinc, sin, sinc, wrap
 
+sin = from_python(scalars.sin)
+cos = from_python(scalars.cos)
+asin = from_python(scalars.asin)
+atan2 = from_python(scalars.atan2)
+sinc = from_python(scalars.sinc)
+dsinc = from_python(scalars.dsinc)
+wrap = from_python(scalars.wrap)
 RNG = np.random.default_rng(0)
 ANGLES = np.concatenate(
     [
@@ -22,7 +29,7 @@ ANGLES = np.concatenate(
 
 @pytest.mark.parametrize("name", ["sin", "cos", "tan"])
 def test_circular_functions(name: str) -> None:
-    mine, exact = getattr(scalars, name), getattr(mpmath, name)
+    mine, exact = from_python(getattr(scalars, name)), getattr(mpmath, name)
     with mpmath.workdps(50):
         for angle in ANGLES.tolist():
             right = exact(mpmath.mpf(angle))

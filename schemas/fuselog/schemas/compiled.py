@@ -15,6 +15,8 @@ from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from fuselog.schemas.parts import PartCompiler
+
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
@@ -29,8 +31,11 @@ def kernel(function: _Kernel) -> _Kernel:
 
 
 def inline(function: _Kernel) -> _Kernel:
-    """Compile ``function`` for use inside kernels only; it is cached with the kernel that calls it."""
-    return cast(_Kernel, numba.njit(error_model="numpy", inline="never")(function))
+    """Compile ``function`` for use inside kernels only; it is cached with the kernel that calls it.
+
+    Called from Python it raises TypeError.
+    """
+    return cast(_Kernel, numba.njit(error_model="numpy", inline="never", pipeline_class=PartCompiler)(function))
 
 
 class _Load(Protocol):
