@@ -31,24 +31,37 @@ class Odometry:
         twist = _WORLD if rotates and "v_east" in states else _TWIST
         self._world = twist is _WORLD
         index = [_state_of(states, name) for name in (*_POSE, *twist)]
-        nothing = len(states)  # a column of 0 behind the states
-        self._index = np.array([nothing if i is None else i for i in index])
+        self._index = np.array([len(states) if i is None else i for i in index])  # a 0 is put behind the states
         self._absent = np.array([i for i, at in enumerate(index) if at is None], np.int64)
+        wanted = [(i, j) for block in _blocks(rotates) for i in block for j in block]
+        pairs = [(index[i], index[j]) for i, j in wanted]
+        self._packed = np.array([0 if a is None or b is None else _packed(a, b, len(states)) for a, b in pairs])
+        self._nothing = np.array([k for k, pair in enumerate(pairs) if None in pair], np.int64)
 
     def values(self, x: Floats, P: Floats) -> Floats:
         """Pose, its covariance, twist, its covariance (n, 7 + 36 + 6 + 36) of states (n, N), P as upper triangles."""
-        n, N = x.shape
+        n = len(x)
         shown = np.concatenate([x, np.zeros((n, 1))], axis=1)[:, self._index]
-        C = np.zeros((n, N + 1, N + 1))
-        rows, columns = np.triu_indices(N)
-        C[:, rows, columns] = C[:, columns, rows] = P
-        mine = np.ascontiguousarray(C[:, self._index[:, np.newaxis], self._index])
+        spread = np.take(P, self._packed, axis=1)
+        spread[:, self._nothing] = 0.0
         attitude = quaternions_from_rpy(np.ascontiguousarray(shown[:, 3:6]))
         if self._rotates:
-            _turn(shown, mine, self._world)
-            mine[:, self._absent, self._absent] = _UNKNOWN
-        pose, twist = mine[:, :6, :6].reshape(n, 36), mine[:, 6:, 6:].reshape(n, 36)
-        return np.concatenate([shown[:, :3], attitude, pose, shown[:, 6:], twist], axis=1)
+            whole = spread.reshape(n, 12, 12)
+            _turn(shown, whole, self._world)
+            whole[:, self._absent, self._absent] = _UNKNOWN
+            spread = np.concatenate([whole[:, :6, :6].reshape(n, 36), whole[:, 6:, 6:].reshape(n, 36)], axis=1)
+        return np.concatenate([shown[:, :3], attitude, spread[:, :36], shown[:, 6:], spread[:, 36:]], axis=1)
+
+
+def _blocks(rotates: bool) -> list[range]:
+    """The numbers whose covariances are wanted: within pose and twist, and between them where they turn together."""
+    return [range(12)] if rotates else [range(6), range(6, 12)]
+
+
+def _packed(i: int, j: int, n: int) -> int:
+    """Where the covariance of states i and j lies in the upper triangle of n x n, row by row."""
+    first, last = min(i, j), max(i, j)
+    return first * n - first * (first - 1) // 2 + last - first
 
 
 def _state_of(states: tuple[str, ...], name: str) -> int | None:
