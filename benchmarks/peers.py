@@ -3,7 +3,8 @@
     python benchmarks/peers.py [--rounds 9]
 
 A position is measured at 100 Hz: constant velocity in one dimension (2 states, 1 number) and in two (4 states, 2
-numbers); the 15-state model with gains as a matrix and ``covariance: none``. CPU time; all take turns.
+numbers); the 15-state model with gains as a matrix and ``covariance: none``, and with optimal gains and a call from
+Python for every sample. CPU time; all take turns.
 """
 
 import argparse
@@ -18,18 +19,20 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 from filter import SENSORS, mixed
+from filter import plan as whole
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import ExtendedKalmanFilter
 from tests.fusion.reference import MOTIONS
 from tests.fusion.setups import Sample, events_of, make_plan, truth
 
 from fuselog.fusion import Engine, Events, Plan
+from fuselog.fusion.engine import make_samples
+from fuselog.fusion.kernel.fields import Block
 from fuselog.fusion.kernel.memory import blank_rows
-from fuselog.fusion.kernel.tables import Samples
 
 SD, DENSITY, STEP_S = 0.3, 0.5, 0.01
 GOALS = {"constant_velocity_1d": 300, "constant_velocity": 100}
-GOAL_FIXED_US = 0.2
+GOAL_FIXED_US, GOAL_CALL_US = 0.2, 3.0
 
 
 def point(model: str, axes: str) -> Plan:
@@ -84,19 +87,29 @@ class Kernel:
     """A plan and events as the kernel takes them, so that nothing but the kernel is timed."""
 
     def __init__(self, plan: Plan, events: Events) -> None:
-        self._engine, self._n = Engine(plan, window_ns=0), events.size
+        self._engine = Engine(plan, window_ns=0)
         self._start = self._engine.snapshot()
-        columns = (np.ascontiguousarray(column).reshape(-1) for column in events[:6])
-        self._samples = Samples(events.size, *columns)
-        self.rows = blank_rows(self._engine._kernel, events.size, plan.tables.M)
+        self._samples = Block(make_samples(events))
+        self.rows = blank_rows(plan.kernel, events.size, plan.tables.M)
+        self._rows = Block(self.rows)
 
     def run(self) -> None:
-        engine, done = self._engine, 0
-        engine.restore(self._start)
-        while done < self._n:
-            done = engine._kernel.advance(engine._tables, engine._history, engine._work, self._samples, done, self.rows)
-            if done < self._n:
-                engine._grow()
+        self._engine.restore(self._start)
+        self._engine.apply(self._samples, self._rows)
+
+
+class Calls:
+    """The 15-state model, every sample a call of its own: memory is there, one function is called with six numbers."""
+
+    def __init__(self, plan: Plan, events: Events) -> None:
+        self._plan, self._events = plan, events
+        self._samples = [Block(make_samples(events.take(slice(k, k + 1)))) for k in range(events.size)]
+        self._rows = Block(blank_rows(plan.kernel, 1, plan.tables.M))
+
+    def run(self) -> None:
+        engine = Engine(self._plan, window_ns=0)
+        for sample in self._samples:
+            engine.apply(sample, self._rows)
 
 
 def timed(function, count: int) -> float:
@@ -129,6 +142,11 @@ def main() -> None:
     kernel.run()
     ours = [timed(kernel.run, len(samples)) for _ in range(3 * rounds)]
     rows.append(("omni3d, fixed gains, no P", min(ours), np.median(ours), np.nan, np.nan, f"{GOAL_FIXED_US} µs"))
+    samples, plan = mixed(20.0), whole()
+    calls = Calls(plan, events_of(plan, samples))
+    calls.run()
+    ours = [timed(calls.run, len(samples)) for _ in range(3 * rounds)]
+    rows.append(("omni3d, a call for each sample", min(ours), np.median(ours), np.nan, np.nan, f"{GOAL_CALL_US} µs"))
     print(f"{'µs of CPU per event':<34} {'least':>8} {'median':>8} {'filterpy':>9} {'ratio':>7} {'goal':>8}")
     for title, least, median, theirs, ratio, goal in rows:
         print(f"{title:<34} {least:>8.3f} {median:>8.3f} {theirs:>9.1f} {ratio:>6.0f}x {goal:>8}")

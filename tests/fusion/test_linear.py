@@ -10,6 +10,7 @@ from tests.fusion.setups import Sample, events_of, kernel_of, make_plan, put
 
 from fuselog.fusion import Decision, Engine
 from fuselog.fusion.config import parse_config
+from fuselog.fusion.kernel.fields import call
 from fuselog.fusion.kernel.memory import begin_history, blank_linear
 from fuselog.fusion.plan import compile_plan
 from fuselog.schemas import ConfigError
@@ -140,7 +141,7 @@ def test_any_time_is_discretised_as_by_van_loan(dt, scale) -> None:
         kernel = kernel_of(plan)
         linear = blank_linear(kernel, plan.tables.M)
         history = begin_history(kernel, plan.tables, 2, plan.x, plan.P, plan.known, np.zeros(4))
-        kernel.transition(plan.tables, history, linear, 0, dt)
+        call(kernel.transition, plan.tables, history, linear, 0, dt)
         wanted = expm(Fc * dt)
         short, halvings = dt, 0
         while np.abs(Fc).sum() * short > 0.5:

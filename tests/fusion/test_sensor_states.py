@@ -14,6 +14,7 @@ from tests.fusion.test_inertial import NOISE, SECOND, State
 from tests.fusion.test_user_models import TRICYCLE
 
 from fuselog.fusion import Engine, compile_plan, load_plan, parse_config
+from fuselog.fusion.kernel.fields import call
 from fuselog.fusion.kernel.memory import blank_linear
 from fuselog.schemas import ConfigError
 
@@ -264,7 +265,7 @@ def test_an_input_with_bias_and_scale() -> None:
     engine.advance(events_of(plan, [Sample(SECOND, "wheels", u, 1e-12)]))
     put(engine, x, np.zeros((5, 5)), t_ns=SECOND)
     linear, history = blank_linear(kernel, plan.tables.M), engine.snapshot().history
-    kernel.transition(plan.tables, history, linear, int(history.cursor[1]), dt)
+    call(kernel.transition, plan.tables, history, linear, int(history.cursor[1]), dt)
     numeric = differences(moved, x)
     assert np.abs(linear.F.reshape(5, 5) - numeric).max() < 1e-7
     engine.advance(events_of(plan, [Sample(SECOND + 300_000_000, "wheels", u, 1e-12)]))

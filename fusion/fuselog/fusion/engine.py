@@ -1,5 +1,6 @@
 """The engine: owns one filter's memory and moves it by batches of events. The only way to move a filter."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -7,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Events
+from fuselog.fusion.kernel.fields import Block
 from fuselog.fusion.kernel.memory import begin_history, blank_rows, compact_history, empty_history, rest_input, scratch
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, History, Rows, Samples
 from fuselog.fusion.plan import Plan
@@ -61,33 +63,41 @@ class Engine:
         """
         self.plan = plan
         self._kernel = plan.kernel
+        self._advance: Callable[..., int] = plan.kernel.advance
         window_ns = plan.tables.window_ns if window_ns is None else window_ns
-        self._tables = plan.tables._replace(sensor=plan.tables.sensor.copy(), window_ns=window_ns)
+        tables = plan.tables._replace(sensor=plan.tables.sensor.copy(), window_ns=window_ns)
         if optimal:
-            self._tables = self._tables._replace(gain=np.zeros_like(plan.tables.gain), gap_ns=-1, covariance=1)
-        self._work = scratch(self._kernel, plan.tables)
+            tables = tables._replace(gain=np.zeros_like(plan.tables.gain), gap_ns=-1, covariance=1)
         u = rest_input(list(plan.card.rest.values()))
-        self._history = begin_history(self._kernel, plan.tables, _FIRST_CAPACITY, plan.x, plan.P, plan.known, u)
+        self._tables, self._work = Block(tables), Block(scratch(self._kernel, plan.tables))
+        self._history = Block(begin_history(self._kernel, plan.tables, _FIRST_CAPACITY, plan.x, plan.P, plan.known, u))
 
     def advance(self, events: Events) -> Track:
         """Apply the events, in the order given, and return a row for each."""
-        n, done = events.size, 0
-        rows, samples = blank_rows(self._kernel, n, self.plan.tables.M), make_samples(events)
-        while (done := self._kernel.advance(self._tables, self._history, self._work, samples, done, rows)) < n:
-            self._grow()
+        rows = blank_rows(self._kernel, events.size, self.plan.tables.M)
+        self.apply(Block(make_samples(events)), Block(rows))
         return make_track(self.plan, events, rows)
+
+    def apply(self, samples: Block[Samples], rows: Block[Rows]) -> None:
+        """``advance`` in memory that its owner has made, and may use again."""
+        n, done, advance = samples.record.size, 0, self._advance
+        tables, history, work = self._tables.at, self._history.at, self._work.at
+        while (done := advance(tables, history, work, samples.at, done, rows.at)) < n:
+            self._grow()
+            history = self._history.at
 
     def place(self, rank: int, lever: NDArray[np.float64]) -> None:
         """Say where a sensor is (m, body axes), before any of its samples are applied."""
-        self._tables.sensor[rank * 7 : rank * 7 + 3] = lever
+        self._tables.record.sensor[rank * 7 : rank * 7 + 3] = lever
 
     @property
     def estimate(self) -> Estimate:
         """The newest state, as copies."""
-        kernel, tail = self._kernel, int(self._history.cursor[1])
+        kernel, history = self._kernel, self._history.record
+        tail = int(history.cursor[1])
         N, LD = kernel.N, kernel.LD
-        row = self._history.state[tail * kernel.ROW : (tail + 1) * kernel.ROW].copy()
-        marks = self._history.marks.reshape(self._history.capacity, -1)[tail]
+        row = history.state[tail * kernel.ROW : (tail + 1) * kernel.ROW].copy()
+        marks = history.marks.reshape(history.capacity, -1)[tail]
         t, resets = int(marks[kernel.AT]), int(marks[kernel.RESETS])
         P = row[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N]
         known = row[kernel.KNOWN : kernel.KNOWN + N] != 0
@@ -99,21 +109,21 @@ class Engine:
     @property
     def counts(self) -> NDArray[np.int64]:
         """(S, decisions): how many samples of each sensor met each ``Decision``, as it stands after every rewind."""
-        return self._history.counts.reshape(-1, DECISIONS).copy()
+        return self._history.record.counts.reshape(-1, DECISIONS).copy()
 
     def snapshot(self) -> Snapshot:
         """Everything remembered, as copies."""
-        return Snapshot(compact_history(self._history), self._tables.sensor.copy())
+        return Snapshot(compact_history(self._history.record), self._tables.record.sensor.copy())
 
     def restore(self, snapshot: Snapshot) -> None:
         """Go back to a snapshot of an engine with the same plan."""
-        self._history = compact_history(snapshot.history)
-        self._tables.sensor[:] = snapshot.sensor
+        self._history = Block(compact_history(snapshot.history))
+        self._tables.record.sensor[:] = snapshot.sensor
 
     def _learned(self, entry: int) -> Learned:
         """What has been learned by an entry of the history."""
         kernel, tables = self._kernel, self.plan.tables
-        row = self._history.learned[entry * tables.learned : (entry + 1) * tables.learned]
+        row = self._history.record.learned[entry * tables.learned : (entry + 1) * tables.learned]
         memory = np.zeros((tables.S, kernel.MEMORY))
         memory[:, kernel.FACTOR] = 1.0
         for rank in np.flatnonzero(tables.memory >= 0):
@@ -130,11 +140,11 @@ class Engine:
         )
 
     def _grow(self) -> None:
-        old = self._history
+        old = self._history.record
         new = empty_history(self._kernel, self.plan.tables, 2 * old.capacity)
         for before, after in zip(old[1:], new[1:], strict=True):
             after[: len(before)] = before
-        self._history = new
+        self._history = Block(new)
 
 
 def make_samples(events: Events) -> Samples:

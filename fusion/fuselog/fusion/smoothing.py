@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.engine import Snapshot, make_samples, make_track
 from fuselog.fusion.events import Events, blank_events
+from fuselog.fusion.kernel.fields import call
 from fuselog.fusion.kernel.memory import begin_history, blank_rows, empty_history, move_history, rest_input, scratch
 from fuselog.fusion.kernel.tables import NEVER, Care, Gain, History, Rows
 from fuselog.fusion.kernel.trail import Visits, begin_trail
@@ -180,12 +181,12 @@ class _Passes:
         n = events.size
         rows, visits = blank_rows(self._kernel, n, self.plan.tables.M), _visits(n)
         samples = make_samples(events)
-        self._kernel.go_forth(self._tables, self.history, self._work, self._trail, samples, visits, rows)
+        call(self._kernel.go_forth, self._tables, self.history, self._work, self._trail, samples, visits, rows)
         return rows, visits
 
     def back(self, visits: Visits, *, last: int, first: int, rows: Rows) -> None:
         """Go back from entry ``last`` to ``first`` with the adjoint that is there, and make the rows wanted."""
-        self._kernel.go_back(self._tables, self.history, self._trail, visits, last, first, rows)
+        call(self._kernel.go_back, self._tables, self.history, self._trail, visits, last, first, rows)
 
     def smoothed(self, at: int, last: int) -> Track:
         """Entry ``at`` smoothed by all entries up to ``last``."""

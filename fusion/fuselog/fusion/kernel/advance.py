@@ -3,6 +3,7 @@
 import math
 
 from fuselog.fusion.kernel.blank import LD, N
+from fuselog.fusion.kernel.fields import record_at
 from fuselog.fusion.kernel.layout import (
     AT,
     COVARIANCE,
@@ -16,24 +17,32 @@ from fuselog.fusion.kernel.layout import (
     UNDECIDED,
 )
 from fuselog.fusion.kernel.moments import marks_at, moment
-from fuselog.fusion.kernel.rows import pointers, row_copy
+from fuselog.fusion.kernel.rows import row_copy
 from fuselog.fusion.kernel.step import step
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
 from fuselog.schemas.compiled import inline, kernel
 
 
 @kernel
-def advance(tables: Tables, history: History, work: Work, events: Samples, start: int, rows: Rows) -> int:
+def advance(tables: int, history: int, work: int, events: int, start: int, rows: int) -> int:
     """Apply events from ``start`` on and write a row for each; returns the first one not applied.
 
-    That is the number of events, or less when the history is full and its owner must give it room.
+    That is the number of events, or less when the history is full and its owner must give it room. All but ``start``
+    are places of a ``Block``.
     """
-    return advance_all(pointers(tables), pointers(history), pointers(work), pointers(events), start, pointers(rows))
+    return advance_all(
+        record_at(tables, Tables),
+        record_at(history, History),
+        record_at(work, Work),
+        record_at(events, Samples),
+        start,
+        record_at(rows, Rows),
+    )
 
 
 @inline
 def advance_all(tables: Tables, history: History, work: Work, events: Samples, start: int, rows: Rows) -> int:
-    """``advance`` on bare pointers."""
+    """``advance`` on the records themselves."""
     for e in range(start, events.size):
         if not make_room(tables, history):
             return e

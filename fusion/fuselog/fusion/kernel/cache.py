@@ -20,7 +20,6 @@ from fuselog.schemas.errors import FuselogError
 
 _HERE = Path(__file__).parent
 # the texts that are compiled together with a generated model, as one module that takes the model's names
-# the texts that are compiled together with a generated model, as one module that takes the model's names
 _BEFORE = ("layout", "innovation", "moments", "seeding", "gains", "correction", "soundness")
 _FILTERS = {"ekf": "extended", "iekf": "iterated", "ukf": "unscented"}  # of which one comes between
 _CAREFUL, _PLAIN = ("robust", "standstill"), ("plain",)  # the first where a sensor needs them, as they take time

@@ -9,73 +9,18 @@ counting references to arrays would cost more than the arithmetic.
 # pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportUnknownLambdaType=false
 
 from collections.abc import Iterator
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, Protocol, cast
 
 from llvmlite import ir  # pyright: ignore[reportMissingTypeStubs]  llvmlite ships no stubs
 from numba import types  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
 from numba.core import cgutils  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
-from numba.core.typing.templates import AttributeTemplate, infer_getattr  # pyright: ignore[reportMissingTypeStubs]
-from numba.extending import (  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
-    intrinsic,
-    lower_getattr_generic,
-    models,
-    register_model,
-)
+from numba.extending import intrinsic  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
 
 Floats = Any  # a pointer to float64
 
 _BYTES = 8  # of a float64
 _BLOCK = 4  # rows and columns that are transposed at a time
 _NARROW = 8  # lanes up to which four rows fit the registers of every processor
-
-
-class _Fields(types.Type):
-    """A pointer to the fields of a named tuple: data pointers in the place of arrays, and numbers, 8 bytes each."""
-
-    def __init__(self, names: tuple[str, ...], kinds: tuple[Any, ...]) -> None:
-        self.names, self.kinds = names, kinds
-        super().__init__(name=f"Fields({', '.join(f'{n}: {k}' for n, k in zip(names, kinds, strict=True))})")
-
-
-register_model(_Fields)(models.OpaqueModel)
-
-
-@infer_getattr
-class _FieldsAttribute(AttributeTemplate):
-    key = _Fields
-
-    def generic_resolve(self, fields: Any, name: str) -> Any:
-        return fields.kinds[fields.names.index(name)] if name in fields.names else None
-
-
-@lower_getattr_generic(_Fields)
-def _load_field(context: Any, builder: Any, fields: Any, value: Any, name: str) -> Any:
-    number = fields.names.index(name)
-    return builder.load(_field(context, builder, fields.kinds[number], value, number))
-
-
-def _field(context: Any, builder: Any, kind: Any, value: Any, number: int) -> Any:
-    """Where a field is."""
-    place = builder.gep(value, [ir.Constant(ir.IntType(64), number * _BYTES)])
-    return builder.bitcast(place, context.get_value_type(kind).as_pointer())
-
-
-def _pointers(typing, arrays):  # noqa: ARG001  numba reads this signature
-    """The fields of a named tuple by one pointer: the data pointer of each array in the array's place."""
-    kinds = tuple(types.CPointer(t.dtype) if isinstance(t, types.Array) else t for t in arrays.types)
-    result = _Fields(arrays.fields, kinds)
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        size = ir.Constant(ir.IntType(64), len(kinds) * _BYTES)
-        memory = cgutils.alloca_once(builder, ir.IntType(8), size)
-        for number, field in enumerate(signature.args[0].types):
-            value = builder.extract_value(arguments[0], number)
-            if isinstance(field, types.Array):
-                value = context.make_array(field)(context, builder, value).data
-            builder.store(value, _field(context, builder, kinds[number], memory, number))
-        return memory
-
-    return result(arrays), emit
 
 
 def _row(builder: Any, pointer: Any, offset: Any, width: int) -> Any:
@@ -354,18 +299,6 @@ class Take(Protocol):
         """``width`` is a constant."""
 
 
-_Tuple = TypeVar("_Tuple")
-
-
-class Pointers(Protocol):
-    """The same named tuple with the data pointer of each array in the array's place; numbers stay."""
-
-    def __call__(self, arrays: _Tuple) -> _Tuple:
-        """Inside kernels only."""
-        ...
-
-
-pointers = cast(Pointers, intrinsic(_pointers))
 row_copy = cast(Copy, intrinsic(prefer_literal=True)(_row_copy))
 row_sum = cast(Sum, intrinsic(prefer_literal=True)(_row_sum))
 row_scale = cast(Scaled, intrinsic(prefer_literal=True)(_row_scale))

@@ -18,10 +18,11 @@ import math
 
 from fuselog.fusion.kernel.advance import admit, insert, write
 from fuselog.fusion.kernel.blank import LD, WIDTH, N, X, adjoin, inject
+from fuselog.fusion.kernel.fields import record_at
 from fuselog.fusion.kernel.innovation import mahalanobis
 from fuselog.fusion.kernel.layout import AT, COVARIANCE, DRIVES_PREVIOUS, FUSED, KNOWN, MOST, RESETS, ROW, WHITE
 from fuselog.fusion.kernel.moments import marks_at
-from fuselog.fusion.kernel.rows import mirror, pointers, row_copy, row_scale, row_take, take_outer
+from fuselog.fusion.kernel.rows import mirror, row_copy, row_scale, row_take, take_outer
 from fuselog.fusion.kernel.seeding import give_variance
 from fuselog.fusion.kernel.step import step
 from fuselog.fusion.kernel.tables import NEVER, Floats, History, Rows, Samples, Tables, Work
@@ -38,21 +39,20 @@ BACK_SCRATCH = SHARE + MOST
 
 
 @kernel
-def go_forth(
-    tables: Tables, history: History, work: Work, trail: Trail, events: Samples, visits: Visits, rows: Rows
-) -> None:
+def go_forth(tables: int, history: int, work: int, trail: int, events: int, visits: int, rows: int) -> None:
     """Append events, in their total order, to a history with room for them; keep how each corrected the state.
 
-    Writes the filter's rows, and to ``visits`` which entry was the newest after each event.
+    Writes the filter's rows, and to ``visits`` which entry was the newest after each event. All are places of
+    a ``Block``.
     """
     go_forth_all(
-        pointers(tables),
-        pointers(history),
-        pointers(work),
-        pointers(trail),
-        pointers(events),
-        pointers(visits),
-        pointers(rows),
+        record_at(tables, Tables),
+        record_at(history, History),
+        record_at(work, Work),
+        record_at(trail, Trail),
+        record_at(events, Samples),
+        record_at(visits, Visits),
+        record_at(rows, Rows),
     )
 
 
@@ -60,7 +60,7 @@ def go_forth(
 def go_forth_all(
     tables: Tables, history: History, work: Work, trail: Trail, events: Samples, visits: Visits, rows: Rows
 ) -> None:
-    """``go_forth`` on bare pointers."""
+    """``go_forth`` on the records themselves."""
     for e in range(events.size):
         at, decision = -1, events.fault[e]
         if decision == 0:
@@ -103,19 +103,27 @@ def clear_row(to: Floats, at: int) -> None:
 
 
 @kernel
-def go_back(tables: Tables, history: History, trail: Trail, visits: Visits, last: int, first: int, rows: Rows) -> None:
+def go_back(tables: int, history: int, trail: int, visits: int, last: int, first: int, rows: int) -> None:
     """Carry the adjoint from after entry ``last`` to after entry ``first``; smooth the rows that are wanted on the way.
 
-    Of a row, only x and P are written.
+    Of a row, only x and P are written. All but the entries are places of a ``Block``.
     """
-    go_back_all(pointers(tables), pointers(history), pointers(trail), pointers(visits), last, first, pointers(rows))
+    go_back_all(
+        record_at(tables, Tables),
+        record_at(history, History),
+        record_at(trail, Trail),
+        record_at(visits, Visits),
+        last,
+        first,
+        record_at(rows, Rows),
+    )
 
 
 @inline
 def go_back_all(
     tables: Tables, history: History, trail: Trail, visits: Visits, last: int, first: int, rows: Rows
 ) -> None:
-    """``go_back`` on bare pointers."""
+    """``go_back`` on the records themselves."""
     k = last
     for e in range(visits.size - 1, -1, -1):
         while k > visits.entry[e]:

@@ -1,7 +1,7 @@
 """A configuration and a filter's memory as plain arrays: all that a kernel sees of either."""
 
 from enum import IntEnum, IntFlag
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -11,9 +11,9 @@ DECISIONS = 12  # kinds of ``Decision``
 SAMPLE_WIDTH = 3  # numbers that come with a sample besides what was measured: the position of a beacon
 
 # A flat array outside of a kernel, a bare pointer inside; no one type describes both.
-Ints = Any  # of int64
-Floats = Any  # of float64
-Bytes = Any  # of uint8
+Ints = Annotated[Any, np.int64]
+Floats = Annotated[Any, np.float64]
+Bytes = Annotated[Any, np.uint8]
 
 
 class Role(IntEnum):

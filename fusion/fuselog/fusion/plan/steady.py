@@ -25,6 +25,7 @@ from fuselog.fusion.design import (
 )
 from fuselog.fusion.design.steps import correct, predict
 from fuselog.fusion.kernel.cache import ModelCard
+from fuselog.fusion.kernel.fields import call
 from fuselog.fusion.kernel.memory import begin_history, blank_linear, rest_input, scratch
 from fuselog.fusion.kernel.tables import Gain, Missing, Role, Tables
 from fuselog.fusion.plan.gains import variants
@@ -194,7 +195,7 @@ class Nominal:
         N: int = self._kernel.N
         if dt not in self._moves:
             linear = blank_linear(self._kernel, self._tables.M)
-            self._kernel.transition(self._tables, self._history, linear, 0, float(dt))
+            call(self._kernel.transition, self._tables, self._history, linear, 0, float(dt))
             self._moves[dt] = linear.F.reshape(N, N), linear.Q.reshape(N, N)
         return self._moves[dt]
 
@@ -203,7 +204,7 @@ class Nominal:
         M, N = self._tables.M, int(self._kernel.N)
         if rank not in self._seen:
             linear, work = blank_linear(self._kernel, M), scratch(self._kernel, self._tables)
-            self._kernel.observation(self._tables, self._history, work, linear, 0, rank)
+            call(self._kernel.observation, self._tables, self._history, work, linear, 0, rank)
             self._seen[rank] = linear.H.reshape(M, N)[: self._sensors[rank].dof]
         return self._seen[rank]
 
