@@ -15,8 +15,9 @@ from fuselog.fusion.intake import Taken
 from fuselog.fusion.report import estimate_json, ledger_json
 from fuselog.replay.ahead import ahead
 from fuselog.replay.channels import Channel
-from fuselog.replay.log import Log, open_log
+from fuselog.replay.log import Log
 from fuselog.replay.loss import Loss
+from fuselog.replay.opening import open_log
 from fuselog.replay.smoothing import smoothed, smoothing_plan
 from fuselog.replay.tracks import TrackWriter, is_output
 from fuselog.schemas import Messages
