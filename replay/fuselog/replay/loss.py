@@ -15,6 +15,10 @@ class Loss:
     messages: int | None = None
     path: str = ""
 
+    def __str__(self) -> str:
+        """In one line."""
+        return f"{self.path}: byte {self.offset}: {self.reason}"
+
 
 class Losses:
     """The losses of one file in the order they were met; one that is met again is kept once."""

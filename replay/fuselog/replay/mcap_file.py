@@ -103,9 +103,9 @@ class McapFile:
         places = find_places(self._source, opcode) if known is None else known
         name, told = "attachments", statistics and statistics.attachment_count
         if opcode == records.METADATA:
-            name, told = "metadata", statistics and statistics.metadata_count
+            name, told = "metadata records", statistics and statistics.metadata_count
         if told is not None and told != len(places):
-            self._losses.add(0, f"{len(places)} {name} records found, {told} in the statistics", 0)
+            self._losses.add(0, f"{len(places)} {name} found, {told} in the statistics", 0)
         return places
 
     def _metadata_content(self, at: int, length: int) -> bytes:

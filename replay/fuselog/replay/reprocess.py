@@ -5,7 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -49,7 +49,6 @@ class Summary:
 
     def to_json(self) -> dict[str, Any]:
         """The summary as plain data."""
-        losses = [{"offset": loss.offset, "reason": loss.reason, "messages": loss.messages} for loss in self.losses]
         return {
             "schema": 1,
             "output": self.output,
@@ -59,7 +58,7 @@ class Summary:
             "final": self.final,
             "sha256": self.sha256,
             "smoothed": self.smoothed,
-            "losses": losses,
+            "losses": [asdict(loss) for loss in self.losses],
         }
 
 
