@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
@@ -12,20 +12,11 @@ from fuselog.replay.columns import decode_topic
 from fuselog.replay.loss import Loss
 from fuselog.replay.merge import Piece, in_time_order
 from fuselog.replay.part import Attachment, Part
+from fuselog.replay.raw import RawMessage, one_by_one
 from fuselog.replay.selection import Topics, select
 from fuselog.replay.unify import Numbers, unify
 from fuselog.schemas.errors import LogError
 from fuselog.schemas.messages import Columns, Messages
-
-
-class RawMessage(NamedTuple):
-    """One message with its payload bytes; times in ns."""
-
-    log_time: int
-    publish_time: int
-    channel_id: int
-    sequence: int
-    data: bytes
 
 
 class Log:
@@ -112,18 +103,7 @@ class Log:
         self, topics: Topics | None = None, *, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RawMessage]:
         """The messages of `batches` one by one, each with its own bytes."""
-        for batch in self.batches(topics, start_ns=start_ns, end_ns=end_ns):
-            data = batch.data.data
-            for log, publish, channel, sequence, start, length in zip(
-                batch.log_time.tolist(),
-                batch.publish_time.tolist(),
-                batch.stream.tolist(),
-                batch.sequence.tolist(),
-                batch.start.tolist(),
-                batch.length.tolist(),
-                strict=True,
-            ):
-                yield RawMessage(log, publish, channel, sequence, bytes(data[start : start + length]))
+        return one_by_one(self.batches(topics, start_ns=start_ns, end_ns=end_ns))
 
     def read(
         self,
