@@ -18,7 +18,6 @@ _LARGEST = 64 << 20  # bytes of metadata.yaml
 class BagFolder(NamedTuple):
     """The files of a recording in order, and those of them that are not there."""
 
-    storage: str  # "mcap", "sqlite3"
     files: list[Path]
     missing: list[Loss]
 
@@ -34,8 +33,10 @@ def read_folder(folder: Path) -> BagFolder:
         files = sorted(folder.glob("*.mcap"), key=_natural)
         if not files:
             raise LogError(str(folder), 0, f"a folder without {_METADATA} and without .mcap files")
-        return BagFolder("mcap", files, [])
+        return BagFolder(files, [])
     told = _load(about)
+    if str(told.get("compression_mode") or "none").lower() == "message":
+        raise LogError(str(about), 0, "its messages are compressed one by one: convert it with ros2 bag convert")
     listed = [folder / PurePosixPath(name.replace("\\", "/")).name for name in _names(told, about)]
     files = [file for file in dict.fromkeys(listed) if file.is_file()]
     missing = [
@@ -45,7 +46,7 @@ def read_folder(folder: Path) -> BagFolder:
     ]
     if not files:
         raise LogError(str(about), 0, "none of the files that it lists is there")
-    return BagFolder(str(told.get("storage_identifier") or "mcap"), files, missing)
+    return BagFolder(files, missing)
 
 
 def _load(about: Path) -> dict[str, Any]:

@@ -12,6 +12,10 @@ from fuselog.replay.loss import Loss
 from fuselog.replay.mcap_file import McapFile
 from fuselog.replay.part import Part
 from fuselog.replay.source import MappedFile
+from fuselog.schemas.errors import LogError
+
+_BAGS = (b"#ROSBAG V", b"SQLite format 3\0")  # the first bytes of what `rosbag` reads
+_ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 def open_log(
@@ -19,7 +23,8 @@ def open_log(
 ) -> Log:
     """Open a log for reading; it is mapped, not loaded. Use it as a context manager.
 
-    Several paths are one log, and so is a folder of rosbag2: the files that its ``metadata.yaml`` lists.
+    Several paths are one log, and so is a folder of rosbag2: the files that its ``metadata.yaml`` lists. ROS 1 bags and
+    ``.db3`` files need the extra ``ros``.
 
     Damage is no error: bad chunks are skipped, a cut file is read up to its cut, and `Log.losses` tells.
     Raises LogError when there is nothing to read: no such file, an empty one, or not a log.
@@ -50,4 +55,19 @@ def _is_folder(name: str) -> bool:
 
 
 def _open_part(path: str, limits: Limits, *, check_crc: bool) -> Part:
-    return McapFile(MappedFile(path), limits, check_crc=check_crc)
+    source = MappedFile(path)
+    magic = source.read(0, 16).tobytes()
+    if magic.startswith(_BAGS):
+        source.close()
+        return _open_bag(path)
+    if magic.startswith(_ZSTD):
+        raise LogError(path, 0, "compressed as a whole: unpack it first, with unzstd")
+    return McapFile(source, limits, check_crc=check_crc)
+
+
+def _open_bag(path: str) -> Part:
+    try:
+        from fuselog.replay.rosbag import RosbagFile  # noqa: PLC0415  an extra, and slow to import
+    except ModuleNotFoundError as error:
+        raise LogError(path, 0, "bags are read by another package: pip install 'fuselog[ros]'") from error
+    return RosbagFile(path)
