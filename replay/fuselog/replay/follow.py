@@ -56,6 +56,9 @@ class GrowingFile:
             begin += len(part)
         return np.frombuffer(b"".join(parts), np.uint8)
 
+    def fetch(self, begin: int, end: int) -> None:
+        """Nothing: the bytes are here."""
+
     def read_all(self) -> NDArray[np.uint8]:
         """All bytes so far."""
         return self.read(0, self.look())

@@ -134,7 +134,7 @@ class Log:
             messages = piece.load()
             return None if messages is None else _renumbered(messages, numbers)
 
-        return Piece(piece.start_ns, (number, *piece.place), load)
+        return Piece(piece.start_ns, (number, *piece.place), load, piece.fetch)
 
 
 def _renumbered(messages: Messages, numbers: Numbers) -> Messages:

@@ -12,15 +12,24 @@ from fuselog.schemas.messages import Messages
 Place = tuple[int, ...]  # where messages lie: number of the file, position in it; equal log times come by it
 
 
+_FETCHED = 4  # pieces that may be on their way from a server
+
+
+def _nothing() -> None:
+    """What is here need not be fetched."""
+
+
 class Piece(NamedTuple):
     """Messages that are loaded together: none is before ``start_ns``.
 
-    ``load`` gives them in time order, ties as they lie in the file; None if there are none.
+    ``load`` gives them in time order, ties as they lie in the file; None if there are none. ``fetch`` is called some
+    pieces before.
     """
 
     start_ns: int
     place: Place
     load: Callable[[], Messages | None]
+    fetch: Callable[[], None] = _nothing
 
 
 _Loaded = tuple[Place, Messages]
@@ -33,7 +42,9 @@ def in_time_order(pieces: Iterable[Piece]) -> Iterator[Messages]:
     """
     order = sorted(pieces, key=lambda piece: (piece.start_ns, piece.place))
     waiting: list[_Loaded] = []
-    for piece, following in zip(order, [*order[1:], None], strict=False):
+    for number, (piece, following) in enumerate(zip(order, [*order[1:], None], strict=False)):
+        for soon in order[number : number + _FETCHED]:
+            soon.fetch()
         messages = piece.load()
         if messages is not None:
             waiting.append((piece.place, messages))

@@ -35,6 +35,11 @@ class Opener:
             return self._refuse(chunk, str(error))
         return data, 0, len(data)
 
+    def fetch(self, chunk: Chunk) -> None:
+        """Told before the chunk is opened."""
+        if chunk.end - chunk.offset <= self._limits.record_bytes:
+            self._source.fetch(chunk.offset, chunk.end)
+
     def indexed(self, chunk: Chunk) -> dict[int, int] | None:
         """Messages by channel that the message index of the chunk counts."""
         return count_indexed(self._source.read(chunk.end, chunk.index_end)) if chunk.index_end > chunk.end else None

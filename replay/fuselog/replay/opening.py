@@ -1,6 +1,7 @@
 """From paths to an open log: files, folders of rosbag2, several of either."""
 
 import os
+import re
 from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
@@ -11,9 +12,10 @@ from fuselog.replay.log import Log
 from fuselog.replay.loss import Loss
 from fuselog.replay.mcap_file import McapFile
 from fuselog.replay.part import Part
-from fuselog.replay.source import MappedFile
+from fuselog.replay.source import MappedFile, Source
 from fuselog.schemas.errors import LogError
 
+_URL = re.compile("(s3|gs|https?):/{1,2}(?=[^/])")  # pathlib makes one slash of two
 _BAGS = (b"#ROSBAG V", b"SQLite format 3\0")  # the first bytes of what `rosbag` reads
 _ZSTD = b"\x28\xb5\x2f\xfd"
 
@@ -22,6 +24,8 @@ def open_log(
     path: str | PathLike[str], *more: str | PathLike[str], limits: Limits | None = None, check_crc: bool = True
 ) -> Log:
     """Open a log for reading; it is mapped, not loaded. Use it as a context manager.
+
+    ``s3://``, ``gs://`` and ``https://`` are read by ranges, with the extra ``remote``.
 
     Several paths are one log, and so is a folder of rosbag2: the files that its ``metadata.yaml`` lists. ROS 1 bags and
     ``.db3`` files need the extra ``ros``.
@@ -55,6 +59,9 @@ def _is_folder(name: str) -> bool:
 
 
 def _open_part(path: str, limits: Limits, *, check_crc: bool) -> Part:
+    url = _URL.match(path)
+    if url is not None:
+        return McapFile(_open_remote(f"{url[1]}://{path[url.end() :]}"), limits, check_crc=check_crc)
     source = MappedFile(path)
     magic = source.read(0, 16).tobytes()
     if magic.startswith(_BAGS):
@@ -63,6 +70,14 @@ def _open_part(path: str, limits: Limits, *, check_crc: bool) -> Part:
     if magic.startswith(_ZSTD):
         raise LogError(path, 0, "compressed as a whole: unpack it first, with unzstd")
     return McapFile(source, limits, check_crc=check_crc)
+
+
+def _open_remote(url: str) -> Source:
+    try:
+        from fuselog.replay.remote import RemoteFile  # noqa: PLC0415  an extra
+    except ModuleNotFoundError as error:
+        raise LogError(url, 0, "URLs are read by another package: pip install 'fuselog[remote]'") from error
+    return RemoteFile(url)
 
 
 def _open_bag(path: str) -> Part:

@@ -36,7 +36,7 @@ class Reading:
     def pieces(self) -> list[Piece]:
         """The chunks that may hold something selected, by their index."""
         return [
-            Piece(chunk.start_ns, (chunk.offset,), partial(self._load, chunk))
+            Piece(chunk.start_ns, (chunk.offset,), partial(self._load, chunk), partial(self._opener.fetch, chunk))
             for chunk in self._contents.chunks
             if self._wants(chunk)
         ]

@@ -28,6 +28,10 @@ class Source(Protocol):
         """The bytes of [begin, end), read-only; fewer where that reaches out of the file."""
         ...
 
+    def fetch(self, begin: int, end: int) -> None:
+        """Told before [begin, end) is read, for who can get it meanwhile."""
+        ...
+
     def read_all(self) -> NDArray[np.uint8]:
         """All bytes, for who must walk through the whole file."""
         ...
@@ -68,6 +72,9 @@ class MappedFile:
     def read(self, begin: int, end: int) -> NDArray[np.uint8]:
         """A view of the bytes of [begin, end)."""
         return self.read_all()[max(begin, 0) : max(end, 0)]
+
+    def fetch(self, begin: int, end: int) -> None:
+        """Nothing: the bytes are here."""
 
     def read_all(self) -> NDArray[np.uint8]:
         """A view of the file."""
