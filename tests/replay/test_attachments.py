@@ -3,6 +3,7 @@
 import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.writer import IndexType, Writer
 
@@ -98,3 +99,21 @@ def test_reading_after_closing_is_one_error(tmp_path: Path) -> None:
         (_, second) = log.attachments()
     with pytest.raises(LogError, match="the log is closed"):
         second.read()
+
+
+def test_no_mutation_raises_anything_else(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.mcap")
+    content = path.read_bytes().replace(BIG, BIG[:300])  # lengths and indexes are wrong already
+    random = np.random.default_rng(9)
+    for _ in range(600):
+        mutated = bytearray(content)
+        for at in random.integers(8, len(content), size=random.integers(0, 3)):
+            mutated[at] ^= 1 << int(random.integers(8))
+        path.write_bytes(mutated)
+        try:
+            with open_log(path) as log:
+                log.metadata()
+                for attachment in log.attachments():
+                    attachment.read()
+        except LogError:
+            continue

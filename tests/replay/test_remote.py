@@ -56,13 +56,20 @@ class Handler(http.server.BaseHTTPRequestHandler):
         """Quiet."""
 
 
+class Quiet(http.server.ThreadingHTTPServer):
+    """Says nothing of clients that leave in the middle of an answer."""
+
+    def handle_error(self, *_: object) -> None:
+        """Nothing."""
+
+
 class Server:
     """A web server of this machine with the files of ``folder``."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.ranges, self.tag = folder, True, '"one"'
         self.asked: list[tuple[int, int]] = []
-        self.http = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Handler, self))
+        self.http = Quiet(("127.0.0.1", 0), functools.partial(Handler, self))
         self.thread = threading.Thread(target=self.http.serve_forever)
         self.thread.start()
 

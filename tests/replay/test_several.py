@@ -196,3 +196,9 @@ def test_a_log_cut_in_two_files_gives_the_same_estimates(shared: Path, tmp_path:
     assert len(whole) > 400
     assert whole.x.tobytes() == cut.x.tobytes()
     assert whole.P.tobytes() == cut.P.tobytes()
+    runs = [
+        CliRunner().invoke(make_app(), ["reprocess", *map(str, logs), "-c", str(config), "--json"])
+        for logs in ([source], halves)
+    ]
+    assert [run.exit_code for run in runs] == [0, 0]
+    assert len({json.loads(run.stdout)["sha256"] for run in runs}) == 1

@@ -1,4 +1,4 @@
-"""Where the bytes of a log lie: a mapped file here; `remote` has the other kind."""
+"""Where the bytes of a log lie: a mapped file, or one that grows; `remote` has those of servers."""
 
 import mmap
 import os
@@ -85,3 +85,47 @@ class MappedFile:
     def close(self) -> None:
         """Drop the mapping, which lives on in the views of it."""
         self._data = None
+
+
+class GrowingFile:
+    """The bytes of a file that gets longer, as a `Source`; ``size`` is that of the last `look`."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self.size = 0
+        try:
+            self._file = open(path, "rb", buffering=0)  # noqa: SIM115  closed by `close`
+        except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+            raise LogError(path, 0, getattr(error, "strerror", None) or str(error)) from error
+
+    def look(self) -> int:
+        """The size now. Raises LogError when the file has become shorter."""
+        size = os.fstat(self._descriptor()).st_size
+        if size < self.size:
+            raise LogError(self.path, size, "the file became shorter while it was followed")
+        self.size = size
+        return size
+
+    def read(self, begin: int, end: int) -> NDArray[np.uint8]:
+        """The bytes of [begin, end) that are there."""
+        parts: list[bytes] = []
+        while begin < end and (part := os.pread(self._descriptor(), end - begin, begin)):
+            parts.append(part)
+            begin += len(part)
+        return np.frombuffer(b"".join(parts), np.uint8)
+
+    def fetch(self, begin: int, end: int) -> None:
+        """Nothing: the bytes are here."""
+
+    def read_all(self) -> NDArray[np.uint8]:
+        """All bytes so far."""
+        return self.read(0, self.look())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _descriptor(self) -> int:
+        if self._file.closed:
+            raise LogError(self.path, 0, "the log is closed")
+        return self._file.fileno()
