@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.writer import Writer
 from typer.testing import CliRunner
 
@@ -145,9 +146,28 @@ def test_a_folder_of_a_recorder_that_was_killed_is_all_its_files(make_log: Calla
         assert [m.data for m in log.messages()] == [b"2", b"10"]
 
 
+def test_a_file_of_a_folder_that_cannot_be_read_is_a_loss(make_log: Callable, tmp_path: Path) -> None:
+    bag = folder(tmp_path, "", {"bag_0.mcap": one(5, b"0")}, make_log)
+    (bag / "bag_1.mcap").write_bytes(b"")
+    with open_log(bag) as log:
+        assert [m.data for m in log.messages()] == [b"0"]
+        (loss,) = log.losses
+        assert (loss.path, loss.reason) == (str(bag / "bag_1.mcap"), "the file is empty")
+    (bag / "bag_0.mcap").write_bytes(b"")
+    with pytest.raises(LogError, match="the file is empty"):
+        open_log(bag)
+
+
+def test_a_compressed_file_says_how_to_unpack_it(tmp_path: Path) -> None:
+    (tmp_path / "log.mcap.zstd").write_bytes(zstandard.compress(b"something"))
+    with pytest.raises(LogError, match="unzstd"):
+        open_log(tmp_path / "log.mcap.zstd")
+
+
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
+        ("rosbag2_bagfile_information: {compression_mode: MESSAGE}", "compressed one by one"),
         ("a: [", "cannot be read"),
         ("- 1", "no rosbag2_bagfile_information"),
         ("rosbag2_bagfile_information: {relative_file_paths: 3}", "no list of names"),

@@ -12,7 +12,7 @@ from fuselog.replay.loss import Loss
 from fuselog.schemas.errors import LogError
 
 _METADATA = "metadata.yaml"
-_LARGEST = 64 << 20  # bytes of metadata.yaml
+_LARGEST = 8 << 20  # bytes of metadata.yaml
 
 
 class BagFolder(NamedTuple):

@@ -34,21 +34,36 @@ def open_log(
     Raises LogError when there is nothing to read: no such file, an empty one, or not a log.
     """
     names = [os.fspath(each) for each in (path, *more)]
+    limits = limits or Limits()
     parts: list[Part] = []
-    missing: list[Loss] = []
+    losses: list[Loss] = []
     with ExitStack() as opened:
         for name in names:
-            files = [name]
             if _is_folder(name):
-                folder = read_folder(Path(name))
-                files = [str(file) for file in folder.files]
-                missing += folder.missing
-            for file in files:
-                parts.append(_open_part(file, limits or Limits(), check_crc=check_crc))
-                opened.callback(parts[-1].close)
-        log = Log(", ".join(names), parts, missing)
+                found, missed = _open_folder(Path(name), limits, check_crc=check_crc)
+            else:
+                found, missed = [_open_part(name, limits, check_crc=check_crc)], []
+            for part in found:
+                opened.callback(part.close)
+            parts += found
+            losses += missed
+        log = Log(", ".join(names), parts, losses)
         opened.pop_all()
     return log
+
+
+def _open_folder(folder: Path, limits: Limits, *, check_crc: bool) -> tuple[list[Part], list[Loss]]:
+    """(the files of a recording, what is missing of it); raises LogError when none of its files can be read."""
+    files, losses = read_folder(folder)
+    parts: list[Part] = []
+    for file in files:
+        try:
+            parts.append(_open_part(str(file), limits, check_crc=check_crc))
+        except LogError as error:
+            if file == files[-1] and not parts:
+                raise
+            losses.append(Loss(error.offset, error.reason, None, error.path))
+    return parts, losses
 
 
 def _is_folder(name: str) -> bool:

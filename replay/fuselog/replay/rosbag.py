@@ -104,17 +104,19 @@ class RosbagFile:
     def _declare(self, connection: Connection, *, ros1: bool) -> Channel:
         """The channel of a connection; how its payloads become CDR is kept."""
         self._converters[connection.id] = bytes
-        text = connection.msgdef.data
+        text, name = connection.msgdef.data, connection.msgtype
+        encoding = "ros1" if ros1 else "cdr"
         if ros1 or connection.msgdef.format != MessageDefinitionFormat.MSG:
             try:
                 store = _types(connection)
-                text = store.generate_msgdef(connection.msgtype, ros_version=2)[0]
-                if ros1:
-                    self._converters[connection.id] = partial(store.ros1_to_cdr, typename=connection.msgtype)
+                text = store.generate_msgdef(name, ros_version=2)[0]
             except Exception as error:  # whatever a parser makes of a broken definition
-                self._losses.add(0, f"{connection.topic}: no usable definition of {connection.msgtype}: {error}", 0)
-                text = ""
-        schema = Schema(connection.msgtype, "ros2msg", text.encode())
+                self._losses.add(0, f"{connection.topic}: no usable definition of {name}: {error}", 0)
+                schema = Schema(name, f"{encoding}msg" if ros1 else "", text.encode())
+                return Channel(connection.id, connection.topic, schema, encoding, {}, connection.msgcount)
+            if ros1:
+                self._converters[connection.id] = partial(store.ros1_to_cdr, typename=name)
+        schema = Schema(name, "ros2msg", text.encode())
         return Channel(connection.id, connection.topic, schema, "cdr", {}, connection.msgcount)
 
 

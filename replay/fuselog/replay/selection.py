@@ -24,8 +24,8 @@ class Selection:
         return self.start_ns <= BEGINNING and self.end_ns >= END
 
     def overlaps(self, start_ns: int, finish_ns: int) -> bool:
-        """Whether something of [start_ns, finish_ns] can be wanted."""
-        return finish_ns >= self.start_ns and start_ns < self.end_ns
+        """Whether something of [start_ns, finish_ns] can be wanted; one that ends before it begins tells nothing."""
+        return finish_ns < start_ns or (finish_ns >= self.start_ns and start_ns < self.end_ns)
 
     def renumbered(self, numbers: Mapping[int, int]) -> "Selection":
         """The same for a file whose channel c is ``numbers[c]`` here."""
