@@ -1,13 +1,19 @@
 """Messages come by log time, ties as they lie in the file, in batches no larger than chunks that overlap."""
 
+import struct
+import zlib
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, Chunk, DataEnd, Footer, Header, McapRecord, Message, Schema
 from mcap.writer import CompressionType, IndexType
 
 from fuselog.replay import open_log
 
+MAGIC = b"\x89MCAP0\r\n"
 Rows = list[tuple[int, int, int, int, bytes]]
 
 
@@ -86,6 +92,30 @@ def test_every_kind_of_summary_gives_the_same(
         assert log.channels[1].count == (11 if summary else None)
         assert log.metadata() == {"source": {"who": "test"}}
         assert log.time_range == (0, 30)
+
+
+def test_records_that_nobody_knows_and_fields_that_nobody_knows_are_passed_over(tmp_path: Path) -> None:
+    def encode(record: McapRecord, more: bytes = b"") -> bytes:
+        builder = RecordBuilder()
+        record.write(builder)
+        framed = builder.end()
+        return framed[:1] + struct.pack("<Q", len(framed) - 9 + len(more)) + framed[9:] + more
+
+    later, private = b"\x01\xff\xff", b"\x90" + struct.pack("<Q", 5) + b"hello"
+    schema, channel = (
+        encode(Schema(7, b"float64 x", "ros2msg", "a/msg/B"), later),
+        encode(Channel(3, "/a", "cdr", {}, 7)),
+    )
+    inside = private + encode(Channel(4, "/b", "cdr", {}, 0), later) + encode(Message(4, 2, b"b", 2, 0)) + private
+    chunk = encode(Chunk("", inside, 2, 2, zlib.crc32(inside), len(inside)), later)
+    content = [encode(Header("", ""), later), private, schema, channel, private, encode(Message(3, 3, b"c", 3, 0))]
+    content += [private, chunk, private, encode(Message(3, 1, b"a", 1, 0)), encode(DataEnd(0)), encode(Footer(0, 0, 0))]
+    path = tmp_path / "log.mcap"
+    path.write_bytes(MAGIC + b"".join(content) + MAGIC)
+    with open_log(path) as log:
+        assert [(m.channel_id, m.data) for m in log.messages()] == [(3, b"a"), (4, b"b"), (3, b"c")]
+        assert {c.id: (c.topic, c.schema.name) for c in log.channels.values()} == {3: ("/a", "a/msg/B"), 4: ("/b", "")}
+        assert log.losses == []
 
 
 def test_times_beyond_int64_are_the_last_ones(make_log: Callable) -> None:

@@ -2,14 +2,20 @@
 
 from fuselog.replay.channels import Channel, Schema
 from fuselog.replay.decompress import Limits
-from fuselog.replay.log import Log, RawMessage, open_log
+from fuselog.replay.follow import Follower
+from fuselog.replay.log import Log
 from fuselog.replay.loss import Loss
+from fuselog.replay.opening import open_log
+from fuselog.replay.part import Attachment
+from fuselog.replay.raw import RawMessage
 from fuselog.replay.reprocess import Summary, reprocess, reprocess_to, smooth_to
 from fuselog.replay.tracks import TrackWriter, is_output
 from fuselog.replay.writer import LogWriter
 
 __all__ = [
+    "Attachment",
     "Channel",
+    "Follower",
     "Limits",
     "Log",
     "LogWriter",

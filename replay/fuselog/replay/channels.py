@@ -54,6 +54,14 @@ class Definitions:
     def __len__(self) -> int:
         return len(self._channels)
 
+    def numbers(self) -> frozenset[int]:
+        """The numbers of the channels."""
+        return frozenset(self._channels)
+
+    def schemas(self) -> dict[int, Schema]:
+        """The schemas by number, in that order, also those of no channel."""
+        return {id: _public(self._schemas[id]) for id in sorted(self._schemas)}
+
     def add(self, opcode: int, content: bytes) -> None:
         """Take in the content of a Schema or Channel record; ValueError if it is broken."""
         known = self._schemas if opcode == records.SCHEMA else self._channels
@@ -83,7 +91,7 @@ class Definitions:
         return Channel(
             id=channel.id,
             topic=channel.topic,
-            schema=Schema(schema.name, schema.encoding, schema.data) if schema else Schema("", "", b""),
+            schema=_public(schema) if schema else Schema("", "", b""),
             encoding=channel.message_encoding,
             metadata=channel.metadata,
             count=None if counts is None else counts.get(channel.id, 0),
@@ -91,3 +99,7 @@ class Definitions:
 
     def _has_schema(self, channel: mcap.records.Channel) -> bool:
         return channel.schema_id == 0 or channel.schema_id in self._schemas
+
+
+def _public(schema: mcap.records.Schema) -> Schema:
+    return Schema(schema.name, schema.encoding, schema.data)

@@ -63,19 +63,19 @@ def clamp(time: int) -> int:
     return min(time, records.MAX_TIME)
 
 
-def from_index(data: NDArray[np.uint8], contents: list[tuple[int, int]]) -> list[Chunk]:
-    """The chunks that ChunkIndex records (content start, length) name; ValueError if they cannot be."""
+def from_index(size: int, contents: list[bytes]) -> list[Chunk]:
+    """The chunks of a file of ``size`` bytes by its ChunkIndex records; ValueError if they cannot be there."""
     chunks: list[Chunk] = []
-    for at, length in contents:
+    for content in contents:
         try:
-            start, finish, offset, size, entries = struct.unpack_from("<QQQQI", data.data, at)
-            (index_bytes,) = struct.unpack_from("<Q", data.data, at + 36 + entries)
+            start, finish, offset, length, entries = struct.unpack_from("<QQQQI", content)
+            (index_bytes,) = struct.unpack_from("<Q", content, 36 + entries)
         except struct.error as error:
             raise ValueError("broken chunk index") from error
-        end = offset + size
-        if 44 + entries > length or entries % _INDEX_ENTRY.itemsize or end + index_bytes > len(data):
+        end = offset + length
+        if entries % _INDEX_ENTRY.itemsize or end + index_bytes > size:
             raise ValueError("chunk index points outside of the file")
-        named = np.frombuffer(data[at + 36 : at + 36 + entries], _INDEX_ENTRY)["channel"]
+        named = np.frombuffer(content[36 : 36 + entries], _INDEX_ENTRY)["channel"]
         chunks.append(Chunk(offset, end, clamp(start), clamp(finish), named if entries else None, end + index_bytes))
     chunks.sort(key=lambda chunk: chunk.offset)
     if any(a.end > b.offset for a, b in pairwise(chunks)):
@@ -132,14 +132,12 @@ def _indexes_after_chunks(
     return found
 
 
-def count_indexed(data: NDArray[np.uint8], chunk: Chunk) -> dict[int, int] | None:
-    """Messages by channel as the chunk's message index counts them; None without a usable index."""
-    if chunk.index_end == chunk.end:
-        return None
+def count_indexed(index: NDArray[np.uint8]) -> dict[int, int] | None:
+    """Messages by channel as the message index behind a chunk counts them; None without a usable one."""
     counts: dict[int, int] = {}
-    rows, _ = scan_rows(data, chunk.end, chunk.index_end)
+    rows, _ = scan_rows(index, 0, len(index))
     for opcode, at, length, _, _ in rows.tolist():
         if opcode == records.MESSAGE_INDEX and length >= 6:
-            channel, pairs = struct.unpack_from("<HI", data.data, at)
+            channel, pairs = struct.unpack_from("<HI", index.data, at)
             counts[channel] = counts.get(channel, 0) + min(pairs, length - 6) // 16
     return counts or None

@@ -1,7 +1,5 @@
 """What a log holds, found before any message is read: from its summary when that is whole, else by a scan."""
 
-import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -13,24 +11,24 @@ from fuselog.replay import records
 from fuselog.replay.channels import Definitions, parse
 from fuselog.replay.chunks import Chunk, from_index, from_rows, scan_rows
 from fuselog.replay.loss import Losses
-
-MAGIC = b"\x89MCAP0\r\n"
-_FOOTER = struct.Struct("<BQQQI")  # opcode, length 20, summary start, summary offset start, crc
-_NO_ROWS = np.empty((0, 5), np.int64)
+from fuselog.replay.source import Source
+from fuselog.replay.summary import MAGIC, Record, Section, read_header, read_statistics, read_summary
 
 Block = tuple[NDArray[np.uint8], int, int]  # records lie in data[begin:end]
 OpenChunk = Callable[[Chunk], Block | None]
+Place = tuple[int, int]  # where a record begins in the file, and its length
 
 
 @dataclass(slots=True)
 class Contents:
     """The chunk table of a log with all that is known of its channels, in file order."""
 
+    header: mcap.records.Header
     chunks: list[Chunk] = field(default_factory=list[Chunk])
     definitions: Definitions = field(default_factory=Definitions)
     statistics: mcap.records.Statistics | None = None
-    metadata: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])  # content start, length
-    profile: str = ""
+    metadata: list[Place] | None = None  # None: only a scan can tell
+    attachments: list[Place] | None = None  # likewise
 
     def message_counts(self) -> dict[int, int] | None:
         """Messages by channel as the statistics say, or None when they do not."""
@@ -40,18 +38,23 @@ class Contents:
         return by_channel if by_channel or self.statistics.message_count == 0 else None
 
 
-def survey(data: NDArray[np.uint8], open_chunk: OpenChunk, losses: Losses) -> Contents:
-    """The contents of the file ``data``; every damage met on the way is noted in ``losses``."""
-    contents = Contents(profile=_read_profile(data, losses))
-    footer = _read_footer(data)
-    summary = _read_summary(data, footer, losses) if footer else _NO_ROWS
-    contents.statistics = _read_statistics(data, summary, losses)
-    _define(data, summary, contents.definitions, losses)
-    if not _use_index(data, summary, contents, losses):
-        _use_scan(data, contents, open_chunk, losses, sealed=footer is not None)
+def survey(source: Source, open_chunk: OpenChunk, losses: Losses) -> Contents:
+    """The contents of a file; every damage met on the way is noted in ``losses``."""
+    contents = Contents(read_header(source, losses))
+    summary = read_summary(source, losses)
+    if summary is not None:
+        contents.statistics = read_statistics(summary, losses)
+        _define(summary, contents.definitions, losses)
+    if summary is None or not _use_index(source, summary, contents, losses):
+        _use_scan(source, contents, open_chunk, losses, sealed=summary is not None)
     for channel, schema in contents.definitions.missing_schemas():
         losses.add(0, f"channel {channel}: its schema {schema} is declared nowhere", 0)
     return contents
+
+
+def find_places(source: Source, opcode: int) -> list[Place]:
+    """Where records with this opcode lie, found by a scan."""
+    return _whole_file(source)[0].places(opcode)
 
 
 def learn(block: Block, definitions: Definitions) -> None:
@@ -64,69 +67,18 @@ def learn(block: Block, definitions: Definitions) -> None:
         definitions.add(opcode, data[at : at + length].tobytes())
 
 
-def _read_profile(data: NDArray[np.uint8], losses: Losses) -> str:
-    rows, _ = scan_rows(data, len(MAGIC), min(len(data), len(MAGIC) + records.FRAME + (1 << 20)))
-    try:
-        if not len(rows) or rows[0, 0] != records.HEADER:
-            raise ValueError("no header")
-        return parse(mcap.records.Header.read, _content(data, rows[0])).profile
-    except ValueError as error:
-        losses.add(len(MAGIC), str(error), 0)
-        return ""
-
-
-def _read_footer(data: NDArray[np.uint8]) -> tuple[int, int] | None:
-    """(summary start, summary crc), or None when the file does not end as a log does."""
-    at = len(data) - len(MAGIC) - _FOOTER.size
-    if at < len(MAGIC) or data[-len(MAGIC) :].tobytes() != MAGIC:
-        return None
-    opcode, length, start, _, crc = _FOOTER.unpack_from(data.data, at)
-    return (start, crc) if (opcode, length) == (records.FOOTER, records.FOOTER_SIZE) else None
-
-
-def _read_summary(data: NDArray[np.uint8], footer: tuple[int, int], losses: Losses) -> NDArray[np.int64]:
-    """The records of the summary section; none when there is no summary or it is damaged."""
-    start, crc = footer
-    end = len(data) - len(MAGIC)
-    if start == 0:
-        return _NO_ROWS
-    if not len(MAGIC) <= start < end:
-        losses.add(end - 20, "the summary lies outside of the file", 0)
-        return _NO_ROWS
-    if crc and zlib.crc32(data[start : end - 4].data) != crc:
-        losses.add(start, "summary crc does not match", 0)
-        return _NO_ROWS
-    rows, reached = scan_rows(data, start, end)
-    if reached != end:
-        losses.add(reached, "broken record in the summary", 0)
-        return _NO_ROWS
-    return rows
-
-
-def _read_statistics(
-    data: NDArray[np.uint8], summary: NDArray[np.int64], losses: Losses
-) -> mcap.records.Statistics | None:
-    for row in summary[summary[:, 0] == records.STATISTICS]:
+def _define(section: Section, definitions: Definitions, losses: Losses) -> None:
+    for record in section.records(records.SCHEMA, records.CHANNEL):
         try:
-            return parse(mcap.records.Statistics.read, _content(data, row))
+            definitions.add(record.opcode, record.content)
         except ValueError as error:
-            losses.add(int(row[1]), f"statistics: {error}", 0)
-    return None
+            losses.add(record.offset, str(error))
 
 
-def _define(data: NDArray[np.uint8], rows: NDArray[np.int64], definitions: Definitions, losses: Losses) -> None:
-    for row in rows[(rows[:, 0] == records.SCHEMA) | (rows[:, 0] == records.CHANNEL)]:
-        try:
-            definitions.add(int(row[0]), _content(data, row))
-        except ValueError as error:
-            losses.add(int(row[1]), str(error))
-
-
-def _use_index(data: NDArray[np.uint8], summary: NDArray[np.int64], contents: Contents, losses: Losses) -> bool:
-    """Take chunks and metadata from the summary, if it names all of them and declares all their channels."""
+def _use_index(source: Source, summary: Section, contents: Contents, losses: Losses) -> bool:
+    """Take the chunks from the summary, if it names all of them and declares all their channels."""
     try:
-        chunks = from_index(data, _extents(summary, records.CHUNK_INDEX))
-        metadata = [_indexed_metadata(data, row) for row in summary[summary[:, 0] == records.METADATA_INDEX]]
+        chunks = from_index(source.size, [record.content for record in summary.records(records.CHUNK_INDEX)])
     except ValueError as error:
         losses.add(0, f"summary not used: {error}", 0)
         return False
@@ -138,30 +90,45 @@ def _use_index(data: NDArray[np.uint8], summary: NDArray[np.int64], contents: Co
         and all(chunk.channels is not None or told for chunk in chunks)
         and definitions.cover({id for c in chunks if c.channels is not None for id in c.channels.tolist()})
         and (statistics is None or statistics.chunk_count == len(chunks))
-        and (statistics is None or statistics.metadata_count == len(metadata))
         and (statistics is None or statistics.channel_count == len(definitions))
     )
     if whole:
-        contents.chunks, contents.metadata = chunks, metadata
+        contents.chunks = chunks
+    if statistics is not None:
+        metadata = summary.records(records.METADATA_INDEX)
+        contents.metadata = _indexed(mcap.records.MetadataIndex.read, metadata, statistics.metadata_count)
+        attachments = summary.records(records.ATTACHMENT_INDEX)
+        contents.attachments = _indexed(mcap.records.AttachmentIndex.read, attachments, statistics.attachment_count)
     return whole
 
 
-def _use_scan(
-    data: NDArray[np.uint8], contents: Contents, open_chunk: OpenChunk, losses: Losses, *, sealed: bool
-) -> None:
+def _indexed(
+    read: Callable[..., mcap.records.MetadataIndex | mcap.records.AttachmentIndex], index: list[Record], count: int
+) -> list[Place] | None:
+    """Where the records lie that an index names; None if it names not all of ``count``."""
+    try:
+        found = [parse(read, record.content) for record in index]
+    except ValueError:
+        return None
+    return [(entry.offset, entry.length) for entry in found] if len(found) == count else None
+
+
+def _use_scan(source: Source, contents: Contents, open_chunk: OpenChunk, losses: Losses, *, sealed: bool) -> None:
     """Take everything from a walk over the data section, opening only chunks with undeclared channels."""
-    rows, reached = scan_rows(data, len(MAGIC), len(data))
+    section, reached = _whole_file(source)
+    rows = section.rows
     is_end = (rows[:, 0] == records.DATA_END) & (rows[:, 2] == records.DATA_END_SIZE)
     if not (is_end | ((rows[:, 0] == records.FOOTER) & (rows[:, 2] == records.FOOTER_SIZE))).any():
         losses.add(reached, f"broken record at byte {reached}" if sealed else f"truncated at byte {reached}")
     elif not sealed:
-        losses.add(len(data), f"truncated at byte {len(data)}: all data, but no whole summary", 0)
-    contents.chunks, broken = from_rows(data, rows)
+        losses.add(source.size, f"truncated at byte {source.size}: all data, but no whole summary", 0)
+    contents.chunks, broken = from_rows(section.data, rows)
     for offset, reason in broken:
         losses.add(offset, reason)
-    contents.metadata = _extents(rows, records.METADATA)
+    contents.metadata = section.places(records.METADATA)
+    contents.attachments = section.places(records.ATTACHMENT)
     definitions = contents.definitions
-    _define(data, rows, definitions, losses)
+    _define(section, definitions, losses)
     for chunk in contents.chunks:
         if chunk.bare or _declared(chunk, contents):
             continue
@@ -174,23 +141,15 @@ def _use_scan(
             losses.add(chunk.offset, str(error))
 
 
+def _whole_file(source: Source) -> tuple[Section, int]:
+    """All records outside of chunks, and where the last whole one ends."""
+    data = source.read_all()
+    rows, reached = scan_rows(data, len(MAGIC), len(data))
+    return Section(data, 0, rows), reached
+
+
 def _declared(chunk: Chunk, contents: Contents) -> bool:
     if chunk.channels is not None:
         return contents.definitions.cover(chunk.channels.tolist())
     total = contents.statistics.channel_count if contents.statistics else None
     return len(contents.definitions) == total and not contents.definitions.missing_schemas()
-
-
-def _indexed_metadata(data: NDArray[np.uint8], row: NDArray[np.int64]) -> tuple[int, int]:
-    index = parse(mcap.records.MetadataIndex.read, _content(data, row))
-    if index.offset + index.length > len(data) or data[index.offset] != records.METADATA:
-        raise ValueError("metadata index points to no metadata")
-    return index.offset + records.FRAME, index.length - records.FRAME
-
-
-def _extents(rows: NDArray[np.int64], opcode: int) -> list[tuple[int, int]]:
-    return [(at, length) for at, length in rows[rows[:, 0] == opcode, 1:3].tolist()]
-
-
-def _content(data: NDArray[np.uint8], row: NDArray[np.int64]) -> bytes:
-    return data[int(row[1]) : int(row[1] + row[2])].tobytes()

@@ -1,55 +1,41 @@
-"""A log as its reader sees it: channels, metadata, losses, and messages in log-time order."""
+"""A log as its reader sees it: channels, metadata, losses, and messages in log-time order, of one file or several."""
 
-import mmap
-import os
-import stat
-from collections.abc import Collection, Iterator, Sequence
-from os import PathLike
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import Self
 
-import mcap.records
 import numpy as np
-from numpy.typing import NDArray
 
-from fuselog.replay.channels import Channel, parse
+from fuselog.replay.channels import Channel
 from fuselog.replay.columns import decode_topic
-from fuselog.replay.contents import MAGIC, survey
-from fuselog.replay.decompress import Limits
-from fuselog.replay.loss import Loss, Losses
-from fuselog.replay.merge import in_time_order
-from fuselog.replay.reading import ChunkOpener, Reading
+from fuselog.replay.loss import Loss
+from fuselog.replay.merge import Piece, in_time_order
+from fuselog.replay.part import Attachment, Part
+from fuselog.replay.raw import RawMessage, one_by_one
+from fuselog.replay.selection import Topics, select
+from fuselog.replay.unify import Numbers, unify
 from fuselog.schemas.errors import LogError
 from fuselog.schemas.messages import Columns, Messages
 
 
-class RawMessage(NamedTuple):
-    """One message with its payload bytes; times in ns."""
-
-    log_time: int
-    publish_time: int
-    channel_id: int
-    sequence: int
-    data: bytes
-
-
 class Log:
-    """An open log. ``channels`` by number; ``profile`` as its header says.
+    """An open log. ``parts`` are its files in order, ``channels`` by number, ``profile`` that of the first file.
 
-    Every reading starts anew and sees all messages of the wanted topics in log-time order, ties in file
-    order. `losses` grows while reading; counts are compared with the statistics at the end of a reading.
+    Every reading starts anew and sees all messages that are wanted in log-time order, ties by file and in file
+    order. `losses` grows while reading; counts are compared with the statistics at the end of a reading of all times.
+
+    What is wanted: ``topics`` is a name, a collection of names, or a compiled pattern that whole names match; None is
+    all, absent ones give nothing. ``start_ns`` <= log time < ``end_ns``, None for an open end. Chunks that the index
+    tells to hold nothing of it are not touched.
     """
 
-    def __init__(self, path: str, data: NDArray[np.uint8], limits: Limits, *, check_crc: bool) -> None:
+    def __init__(self, path: str, parts: Sequence[Part], missing: Sequence[Loss] = ()) -> None:
         self.path = path
-        self._limits = limits
-        self._losses = Losses()
-        self._opener = ChunkOpener(path, data, limits, self._losses, check_crc=check_crc)
-        self._contents = survey(data, self._opener.open, self._losses)
-        self.profile = self._contents.profile
-        if len(self._contents.definitions) > limits.channels:
-            raise LogError(path, 0, f"more than {limits.channels} channels, which is the limit")
-        self.channels: dict[int, Channel] = self._contents.definitions.resolve(self._contents.message_counts())
+        self.parts = tuple(parts)
+        self.profile = self.parts[0].profile
+        self.channels, self._numbers = unify([part.channels for part in self.parts])
+        self._missing = list(missing)
 
     def __enter__(self) -> Self:
         return self
@@ -60,13 +46,14 @@ class Log:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file; batches that were already handed out stay valid."""
-        self._opener.close()
+        """Let go of the files; batches that were already handed out stay valid."""
+        for part in self.parts:
+            part.close()
 
     @property
     def losses(self) -> list[Loss]:
-        """The damage met so far, in the order it was met; empty after a full reading of a sound log."""
-        return self._losses.list()
+        """The damage met so far, by file in the order it was met; empty after a full reading of a sound log."""
+        return self._missing + [loss for part in self.parts for loss in part.losses]
 
     @property
     def topics(self) -> dict[str, list[Channel]]:
@@ -78,60 +65,56 @@ class Log:
 
     @property
     def time_range(self) -> tuple[int, int] | None:
-        """Earliest and latest log time in ns as the file says, without reading; None without messages."""
-        statistics = self._contents.statistics
-        if statistics is not None:
-            found = [(statistics.message_start_time, statistics.message_end_time)] * (statistics.message_count > 0)
-        else:
-            found = [(c.start_ns, c.finish_ns) for c in self._contents.chunks if c.finish_ns]
-        return (min(first for first, _ in found), max(last for _, last in found)) if found else None
+        """Earliest and latest log time in ns as the files say, without reading; None without messages."""
+        found = [part.time_range for part in self.parts]
+        told = [span for span in found if span is not None]
+        return (min(first for first, _ in told), max(last for _, last in told)) if told else None
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """The metadata records by name; where a name comes twice, the last counts."""
         found: dict[str, dict[str, str]] = {}
-        for at, length in self._contents.metadata:
-            try:
-                content = self._opener.content(at, length)
-                record = parse(mcap.records.Metadata.read, content)
-            except ValueError as error:
-                self._losses.add(at, f"metadata: {error}", 0)
-                continue
-            found[record.name] = record.metadata
+        for part in self.parts:
+            found |= part.metadata()
         return found
 
-    def batches(self, topics: Collection[str] | None = None) -> Iterator[Messages]:
-        """All messages of ``topics`` (all when None; absent ones give nothing), a chunk at a time.
+    def attachments(self) -> list[Attachment]:
+        """The attachments in file order; `Attachment.read` gives the content."""
+        return [attachment for part in self.parts for attachment in part.attachments()]
 
-        ``stream`` is the channel number. Payloads lie in the decompressed chunk, or in the file itself.
-        Memory is bounded by a chunk and those that overlap it in time.
+    def batches(
+        self, topics: Topics | None = None, *, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[Messages]:
+        """The wanted messages, a chunk at a time; ``stream`` is the channel number.
+
+        Payloads lie in the decompressed chunk, or in the file itself. Memory is bounded by a chunk and those that
+        overlap it in time.
         """
-        chosen = {id for id, c in self.channels.items() if topics is None or c.topic in topics}
-        reading = Reading(self._opener, self._losses, chosen)
-        chunks = [chunk for chunk in self._contents.chunks if reading.wants(chunk)]
-        yield from in_time_order(chunks, reading.load)
-        if topics is None:
-            reading.note_undeclared()
-        counts = self._contents.message_counts()
-        if counts is not None:
-            reading.compare({id: n for id, n in counts.items() if topics is None or id in chosen})
+        wanted = select(self.channels.values(), topics, start_ns, end_ns)
+        readings = [
+            part.reading(wanted.renumbered(numbers)) for part, numbers in zip(self.parts, self._numbers, strict=True)
+        ]
+        yield from in_time_order(
+            self._placed(piece, number) for number, reading in enumerate(readings) for piece in reading.pieces()
+        )
+        for reading in readings:
+            reading.finish()
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+    def messages(
+        self, topics: Topics | None = None, *, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[RawMessage]:
         """The messages of `batches` one by one, each with its own bytes."""
-        for batch in self.batches(topics):
-            data = batch.data.data
-            for log, publish, channel, sequence, start, length in zip(
-                batch.log_time.tolist(),
-                batch.publish_time.tolist(),
-                batch.stream.tolist(),
-                batch.sequence.tolist(),
-                batch.start.tolist(),
-                batch.length.tolist(),
-                strict=True,
-            ):
-                yield RawMessage(log, publish, channel, sequence, bytes(data[start : start + length]))
+        return one_by_one(self.batches(topics, start_ns=start_ns, end_ns=end_ns))
 
-    def read(self, topic: str, fields: Sequence[str], *, stamp: str | None = None) -> Columns:
-        """The whole topic as columns, in log-time order: ``read("/imu", ["angular_velocity.z"])``.
+    def read(
+        self,
+        topic: str,
+        fields: Sequence[str],
+        *,
+        stamp: str | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Columns:
+        """The topic as columns, in log-time order: ``read("/imu", ["angular_velocity.z"])``.
 
         ``stamp`` names the field of `Columns.t_ns`; by default the one that looks like it, and the log time
         where a type has none. Raises LogError without such a topic, SchemaError without such a field.
@@ -139,31 +122,22 @@ class Log:
         channels = self.topics.get(topic)
         if channels is None:
             raise LogError(self.path, 0, f"no topic {topic!r}; it has {', '.join(self.topics) or 'none'}")
-        return decode_topic(self.batches([topic]), channels, fields, stamp)
+        return decode_topic(self.batches(topic, start_ns=start_ns, end_ns=end_ns), channels, fields, stamp)
+
+    def _placed(self, piece: Piece, number: int) -> Piece:
+        """A piece of file ``number`` among those of all files, its channels as in `channels`."""
+        if len(self.parts) == 1:
+            return piece
+        numbers = self._numbers[number]
+
+        def load() -> Messages | None:
+            messages = piece.load()
+            return None if messages is None else _renumbered(messages, numbers)
+
+        return Piece(piece.start_ns, (number, *piece.place), load, piece.fetch)
 
 
-def open_log(path: str | PathLike[str], *, limits: Limits | None = None, check_crc: bool = True) -> Log:
-    """Open an MCAP log for reading; it is mapped, not loaded. Use it as a context manager.
-
-    Damage is no error: bad chunks are skipped, a cut file is read up to its cut, and `Log.losses` tells.
-    Raises LogError when there is nothing to read: no such file, a folder, empty, or not an MCAP.
-    """
-    name = os.fspath(path)
-    return Log(name, _map(name), limits or Limits(), check_crc=check_crc)
-
-
-def _map(path: str) -> NDArray[np.uint8]:
-    """The bytes of the file, mapped; LogError if it is not a file that begins as an MCAP does."""
-    try:
-        with open(path, "rb") as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise LogError(path, 0, "not a file")
-            if os.fstat(file.fileno()).st_size == 0:
-                raise LogError(path, 0, "the file is empty")
-            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        raise LogError(path, 0, getattr(error, "strerror", None) or str(error)) from error
-    data = np.frombuffer(mapped, np.uint8)
-    if data[: len(MAGIC)].tobytes() != MAGIC:
-        raise LogError(path, 0, "not an MCAP: it does not begin with the magic bytes")
-    return data
+def _renumbered(messages: Messages, numbers: Numbers) -> Messages:
+    lookup = np.zeros(max(numbers) + 1, np.int32)
+    lookup[list(numbers)] = list(numbers.values())
+    return replace(messages, stream=lookup[messages.stream])

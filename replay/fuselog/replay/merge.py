@@ -1,51 +1,75 @@
-"""Chunks that overlap in time, merged exactly: by log time, and ties as they lie in the file."""
+"""Pieces that overlap in time, merged exactly: by log time, ties by file and by where they lie in it."""
 
 from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.replay.chunks import Chunk
 from fuselog.schemas.compiled import kernel
 from fuselog.schemas.messages import Messages
 
-Part = tuple[int, Messages]  # where its chunk lies in the file; its messages in time order
+Place = tuple[int, ...]  # where messages lie: number of the file, position in it; equal log times come by it
 
 
-def in_time_order(chunks: Iterable[Chunk], load: Callable[[Chunk], Messages | None]) -> Iterator[Messages]:
-    """Load chunks by start time and yield what no later chunk can precede.
+_FETCHED = 4  # pieces that may be on their way from a server
 
-    ``load`` gives the messages of a chunk in time order, None if it has none. Only chunks that overlap
-    are held together; a chunk that no other overlaps is passed on as it is, without a copy.
+
+def _nothing() -> None:
+    """What is here need not be fetched."""
+
+
+class Piece(NamedTuple):
+    """Messages that are loaded together: none is before ``start_ns``.
+
+    ``load`` gives them in time order, ties as they lie in the file; None if there are none. ``fetch`` is called some
+    pieces before.
     """
-    order = sorted(chunks, key=lambda chunk: (chunk.start_ns, chunk.offset))
-    waiting: list[Part] = []
-    for chunk, following in zip(order, [*order[1:], None], strict=False):
-        messages = load(chunk)
+
+    start_ns: int
+    place: Place
+    load: Callable[[], Messages | None]
+    fetch: Callable[[], None] = _nothing
+
+
+_Loaded = tuple[Place, Messages]
+
+
+def in_time_order(pieces: Iterable[Piece]) -> Iterator[Messages]:
+    """Load pieces by start time and yield what no later one can precede: by log time, ties by place.
+
+    Only pieces that overlap are held together; one that no other overlaps is passed on without a copy.
+    """
+    order = sorted(pieces, key=lambda piece: (piece.start_ns, piece.place))
+    waiting: list[_Loaded] = []
+    for number, (piece, following) in enumerate(zip(order, [*order[1:], None], strict=False)):
+        for soon in order[number : number + _FETCHED]:
+            soon.fetch()
+        messages = piece.load()
         if messages is not None:
-            waiting.append((chunk.offset, messages))
+            waiting.append((piece.place, messages))
         ready, waiting = _cut(waiting, following)
         if ready:
             yield _join(ready)
 
 
-def _cut(waiting: list[Part], following: Chunk | None) -> tuple[list[Part], list[Part]]:
-    """(what comes before all messages of the following chunk, the rest)."""
-    ready: list[Part] = []
-    rest: list[Part] = []
-    for offset, messages in waiting:
+def _cut(waiting: list[_Loaded], following: Piece | None) -> tuple[list[_Loaded], list[_Loaded]]:
+    """(what comes before all messages of the following piece, the rest)."""
+    ready: list[_Loaded] = []
+    rest: list[_Loaded] = []
+    for place, messages in waiting:
         n = len(messages)
         if following is not None:
-            side = "right" if offset < following.offset else "left"
+            side = "right" if place < following.place else "left"
             n = int(np.searchsorted(messages.log_time, following.start_ns, side=side))
         if n:
-            ready.append((offset, messages.take(slice(0, n))))
+            ready.append((place, messages.take(slice(0, n))))
         if n < len(messages):
-            rest.append((offset, messages.take(slice(n, None))))
+            rest.append((place, messages.take(slice(n, None))))
     return ready, rest
 
 
-def _join(parts: list[Part]) -> Messages:
+def _join(parts: list[_Loaded]) -> Messages:
     """One time-ordered batch of several; the payloads are copied, unless there is one part."""
     if len(parts) == 1:
         return parts[0][1]

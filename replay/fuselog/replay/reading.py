@@ -1,83 +1,67 @@
-"""One reading of a log: chunk by chunk from bytes to messages, with a count of what came and what did not."""
+"""One reading of an MCAP file: chunk by chunk to messages, with a count of what came and what did not."""
 
 from collections.abc import Set
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.replay import records
-from fuselog.replay.chunks import Chunk, count_indexed, read_header
-from fuselog.replay.contents import Block
-from fuselog.replay.decompress import Decompressor, Limits
+from fuselog.replay.chunks import Chunk
+from fuselog.replay.contents import Contents
 from fuselog.replay.loss import Losses
-from fuselog.schemas.errors import LogError
+from fuselog.replay.merge import Piece
+from fuselog.replay.opener import Opener
+from fuselog.replay.selection import END, Selection
 from fuselog.schemas.messages import Messages
 
 _CHANNELS = 1 << 16  # channel numbers are u16
 
 
-class ChunkOpener:
-    """The file of a log, and its chunks as plain records; a chunk that cannot be opened is a loss."""
-
-    def __init__(self, path: str, data: NDArray[np.uint8], limits: Limits, losses: Losses, *, check_crc: bool) -> None:
-        self._path = path
-        self._mapped: NDArray[np.uint8] | None = data
-        self._limits = limits
-        self._losses = losses
-        self._decompressor = Decompressor(limits, check_crc=check_crc)
-
-    def close(self) -> None:
-        """Drop the mapped file."""
-        self._mapped = None
-
-    @property
-    def _data(self) -> NDArray[np.uint8]:
-        if self._mapped is None:
-            raise LogError(self._path, 0, "the log is closed")
-        return self._mapped
-
-    def open(self, chunk: Chunk) -> Block | None:
-        """The records of the chunk, or None when it is bad."""
-        if chunk.bare:
-            return self._data, chunk.offset, chunk.end
-        try:
-            header = read_header(self._data, chunk.offset, chunk.end)
-            data = self._decompressor.open(self._data, header)
-        except ValueError as error:
-            counts = self.indexed(chunk)
-            self._losses.add(chunk.offset, str(error), sum(counts.values()) if counts else None)
-            return None
-        return data, 0, len(data)
-
-    def indexed(self, chunk: Chunk) -> dict[int, int] | None:
-        """Messages by channel that the message index of the chunk counts."""
-        return count_indexed(self._data, chunk)
-
-    def content(self, at: int, length: int) -> bytes:
-        """The content of one record of the file; ValueError above the limit."""
-        if length > self._limits.record_bytes:
-            raise ValueError(f"record of {length} bytes, above the limit of {self._limits.record_bytes}")
-        return self._data[at : at + length].tobytes()
-
-
 class Reading:
-    """Loads the messages of the ``chosen`` channels, and keeps the counts by channel."""
+    """Loads what is selected of a file, and keeps the counts by channel."""
 
-    def __init__(self, opener: ChunkOpener, losses: Losses, chosen: Set[int]) -> None:
+    def __init__(self, opener: Opener, contents: Contents, losses: Losses, selection: Selection) -> None:
+        declared = contents.definitions.numbers()
         self._opener = opener
+        self._contents = contents
         self._losses = losses
-        self._chosen = chosen
+        self._selection = selection
+        self._chosen: Set[int] = declared if selection.channels is None else declared & selection.channels
         self._wanted = np.zeros(_CHANNELS, np.uint8)
-        self._wanted[list(chosen)] = 1
+        self._wanted[list(self._chosen)] = 1
         self._counts = np.zeros(_CHANNELS, np.int64)  # met
         self._lost = np.zeros(_CHANNELS, np.int64)  # already accounted for as losses of chunks
 
-    def wants(self, chunk: Chunk) -> bool:
-        """Whether the chunk may hold messages of the chosen channels."""
+    def pieces(self) -> list[Piece]:
+        """The chunks that may hold something selected, by their index."""
+        return [
+            Piece(chunk.start_ns, (chunk.offset,), partial(self._load, chunk), partial(self._opener.fetch, chunk))
+            for chunk in self._contents.chunks
+            if self._wants(chunk)
+        ]
+
+    def finish(self) -> None:
+        """Note channels that are declared nowhere, and where statistics promise other numbers than came.
+
+        Nothing can be said of what was not asked for: a part of the time is not compared.
+        """
+        if not self._selection.whole_time:
+            return
+        everything = self._selection.channels is None
+        if everything:
+            self._note_undeclared()
+        counts = self._contents.message_counts()
+        if counts is not None:
+            self._compare({id: n for id, n in counts.items() if everything or id in self._chosen})
+
+    def _wants(self, chunk: Chunk) -> bool:
+        if not self._selection.overlaps(chunk.start_ns, chunk.finish_ns):
+            return False
         return chunk.channels is None or bool(self._wanted[chunk.channels].any())
 
-    def load(self, chunk: Chunk) -> Messages | None:
-        """The chosen messages of the chunk in time order, ties as they lie; None if there are none."""
+    def _load(self, chunk: Chunk) -> Messages | None:
+        """The selected messages of the chunk in time order, ties as they lie; None if there are none."""
         block = self._opener.open(chunk)
         if block is None:
             self._count_lost(chunk, np.zeros(_CHANNELS, np.int64))
@@ -97,20 +81,27 @@ class Reading:
             messages = messages.take(np.argsort(messages.log_time, kind="stable"))
         if messages.log_time[0] < chunk.start_ns:
             self._losses.add(chunk.offset, "messages before the time range of their chunk: order not kept", 0)
-        return messages
+        return self._within(messages)
 
-    def compare(self, promised: dict[int, int]) -> None:
-        """Note each channel of which another number of messages came than the statistics promise."""
+    def _compare(self, promised: dict[int, int]) -> None:
         for id in sorted(self._chosen | promised.keys()):
             came, lost, expected = int(self._counts[id]), int(self._lost[id]), promised.get(id, 0)
             if came + lost != expected:
                 reason = f"channel {id}: {came} messages read, {expected} in the statistics"
                 self._losses.add(0, reason, max(expected - came - lost, 0))
 
-    def note_undeclared(self) -> None:
-        """Note the messages that were met of channels not chosen; call it when all channels are."""
+    def _note_undeclared(self) -> None:
         for id in np.flatnonzero((self._counts > 0) & (self._wanted == 0)).tolist():
             self._losses.add(0, f"channel {id} is declared nowhere", int(self._counts[id]))
+
+    def _within(self, messages: Messages) -> Messages | None:
+        """Those in the selected time, of messages in time order."""
+        if self._selection.whole_time:
+            return messages
+        times, selection = messages.log_time, self._selection
+        begin = int(np.searchsorted(times, max(selection.start_ns, 0)))
+        end = len(times) if selection.end_ns >= END else int(np.searchsorted(times, max(selection.end_ns, 0)))
+        return messages.take(slice(begin, end)) if begin < end else None
 
     def _fill(self, data: NDArray[np.uint8], begin: int, end: int, n: int) -> tuple[Messages, bool]:
         stream = np.empty(n, np.int32)

@@ -5,7 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -15,8 +15,9 @@ from fuselog.fusion.intake import Taken
 from fuselog.fusion.report import estimate_json, ledger_json
 from fuselog.replay.ahead import ahead
 from fuselog.replay.channels import Channel
-from fuselog.replay.log import Log, open_log
+from fuselog.replay.log import Log
 from fuselog.replay.loss import Loss
+from fuselog.replay.opening import open_log
 from fuselog.replay.smoothing import smoothed, smoothing_plan
 from fuselog.replay.tracks import TrackWriter, is_output
 from fuselog.schemas import Messages
@@ -48,7 +49,6 @@ class Summary:
 
     def to_json(self) -> dict[str, Any]:
         """The summary as plain data."""
-        losses = [{"offset": loss.offset, "reason": loss.reason, "messages": loss.messages} for loss in self.losses]
         return {
             "schema": 1,
             "output": self.output,
@@ -58,7 +58,7 @@ class Summary:
             "final": self.final,
             "sha256": self.sha256,
             "smoothed": self.smoothed,
-            "losses": losses,
+            "losses": [asdict(loss) for loss in self.losses],
         }
 
 

@@ -13,10 +13,10 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import McapRecord
 
-from fuselog.replay.contents import MAGIC
 from fuselog.replay.framing import Batch, Frames
 from fuselog.replay.records import MAX_TIME
 from fuselog.replay.sink import Sink, encode
+from fuselog.replay.summary import MAGIC
 from fuselog.schemas.messages import Messages
 
 _CHANNELS = 1 << 16  # channel numbers are u16

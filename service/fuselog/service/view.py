@@ -1,6 +1,7 @@
 """Runs as a Rerun recording: path, states, innovations, NIS and gains over the stamps."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,9 @@ RUNS: tuple[Color, ...] = ((80, 160, 255), (255, 160, 50), (190, 120, 255), (60,
 _BOUND = 0.95  # probability of the line in a plot of NIS
 
 
-def write_recording(path: Path, *, outs: Sequence[Path], log: Path | None = None, truth: str | None = None) -> None:
+def write_recording(
+    path: Path, *, outs: Sequence[Path], log: Log | Path | None = None, truth: str | None = None
+) -> None:
     """Write a recording (.rrd) of output logs, with what was measured and true from the ``log`` they were made from.
 
     ``truth`` is a topic with poses or fixes; by default one whose name says so. All is over the timeline ``stamp``,
@@ -38,7 +41,7 @@ def write_recording(path: Path, *, outs: Sequence[Path], log: Path | None = None
     measured: dict[str, Measured] = {}
     true = None
     if log is not None:
-        with open_log(log) as opened:
+        with nullcontext(log) if isinstance(log, Log) else open_log(log) as opened:
             measured = read_measured(opened, runs[0].plan)
             true = _truth(opened, runs[0].results, truth)
     _require_writable(path)

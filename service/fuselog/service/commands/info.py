@@ -1,6 +1,5 @@
 """``fuselog info``: what a log holds."""
 
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -9,14 +8,14 @@ from fuselog.service.console import print_json
 
 
 def info(
-    log: Annotated[Path, typer.Argument(help="The MCAP log.")],
+    logs: Annotated[list[str], typer.Argument(metavar="LOG...", help="MCAP logs, or folders of rosbag2: read as one.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Read the whole log; list topics with types, counts, rates and gaps, and everything that is damaged."""
+    """Read whole logs; list topics with types, counts, rates and gaps, and everything that is damaged."""
     from fuselog.replay import open_log  # noqa: PLC0415  slow to import
     from fuselog.replay.survey import survey  # noqa: PLC0415  slow to import
 
-    with open_log(log) as opened:
+    with open_log(*logs) as opened:
         found = survey(opened).to_json()
     if as_json:
         print_json(found)
@@ -35,4 +34,4 @@ def _print(found: dict[str, Any]) -> None:
         gap = f"{topic['longest_gap_s']:.3f}" if topic["longest_gap_s"] is not None else "-"
         typer.echo(f"{topic['topic']:{wide}}  {topic['messages']:>9} {rate:>9} {gap:>14}  {topic['type']}")
     for loss in found["losses"]:
-        typer.echo(f"lost: byte {loss['offset']}: {loss['reason']}")
+        typer.echo(f"lost: {loss['path']}: byte {loss['offset']}: {loss['reason']}")

@@ -9,7 +9,9 @@ from fuselog.service.console import print_json, progress, stderr
 
 
 def reprocess(
-    log: Annotated[Path, typer.Argument(help="The MCAP log to fuse.")],
+    logs: Annotated[
+        list[str], typer.Argument(metavar="LOG...", help="MCAP logs, or folders of rosbag2: fused as one.")
+    ],
     config: Annotated[Path, typer.Option("--config", "-c", help="The fusion configuration (YAML).")],
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Where to write the track (MCAP).")] = None,
     order: Annotated[
@@ -38,7 +40,7 @@ def reprocess(
     plan = load_plan(config)
     if smooth and plan.config.gain.mode != "optimal":
         stderr.print(f"smoothing with the optimal gain; gain.mode {plan.config.gain.mode} is not used")
-    with open_log(log) as opened, progress("smoothing" if smooth else "fusing") as advance:
+    with open_log(*logs) as opened, progress("smoothing" if smooth else "fusing") as advance:
         if smooth:
             summary = smooth_to(opened, plan, output, spill=spill, advance=advance)
         else:
@@ -46,13 +48,14 @@ def reprocess(
     if rrd is not None and output is not None:
         from fuselog.service.view import write_recording  # noqa: PLC0415  slow to import
 
-        write_recording(rrd, outs=[output], log=log)
+        with open_log(*logs) as again:
+            write_recording(rrd, outs=[output], log=again)
     if as_json:
         print_json(summary.to_json())
     else:
         _print(summary.to_json())
     for loss in summary.losses:
-        stderr.print(f"lost: {log}: byte {loss.offset}: {loss.reason}")
+        stderr.print(f"lost: {loss}")
     if summary.lossy:
         raise typer.Exit(3)
 

@@ -1,0 +1,58 @@
+"""Pieces of an MCAP file on demand: chunks as plain records, and single records; within the limits."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuselog.replay import records
+from fuselog.replay.chunks import Chunk, count_indexed, read_header
+from fuselog.replay.contents import Block
+from fuselog.replay.decompress import Decompressor, Limits
+from fuselog.replay.loss import Losses
+from fuselog.replay.source import Source
+
+
+class Opener:
+    """A file, and its chunks as plain records; a chunk that cannot be opened is a loss."""
+
+    def __init__(self, source: Source, limits: Limits, losses: Losses, *, check_crc: bool) -> None:
+        self._source = source
+        self._limits = limits
+        self._losses = losses
+        self._decompressor = Decompressor(limits, check_crc=check_crc)
+
+    def open(self, chunk: Chunk) -> Block | None:
+        """The records of the chunk, or None when it is bad."""
+        packed = chunk.end - chunk.offset
+        if not chunk.bare and packed > self._limits.record_bytes:
+            reason = f"chunk of {packed} bytes, above the limit of {self._limits.record_bytes}"
+            return self._refuse(chunk, reason)
+        record = self._source.read(chunk.offset, chunk.end)
+        if chunk.bare:
+            return record, 0, len(record)
+        try:
+            data = self._decompressor.open(record, read_header(record, 0, len(record)))
+        except ValueError as error:
+            return self._refuse(chunk, str(error))
+        return data, 0, len(data)
+
+    def fetch(self, chunk: Chunk) -> None:
+        """Told before the chunk is opened."""
+        if chunk.end - chunk.offset <= self._limits.record_bytes:
+            self._source.fetch(chunk.offset, chunk.end)
+
+    def indexed(self, chunk: Chunk) -> dict[int, int] | None:
+        """Messages by channel that the message index of the chunk counts."""
+        return count_indexed(self._source.read(chunk.end, chunk.index_end)) if chunk.index_end > chunk.end else None
+
+    def record(self, offset: int, length: int) -> NDArray[np.uint8]:
+        """One record of the file with its opcode and length; ValueError if it is cut, or above the limit."""
+        if length > self._limits.record_bytes:
+            raise ValueError(f"record of {length} bytes, above the limit of {self._limits.record_bytes}")
+        record = self._source.read(offset, offset + length)
+        if len(record) != length or length < records.FRAME:
+            raise ValueError("the record lies outside of the file")
+        return record
+
+    def _refuse(self, chunk: Chunk, reason: str) -> None:
+        counts = self.indexed(chunk)
+        self._losses.add(chunk.offset, reason, sum(counts.values()) if counts else None)
