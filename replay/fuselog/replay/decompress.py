@@ -1,6 +1,5 @@
 """Chunk payloads to bytes, never more of them than the limits allow, whatever the file says of itself."""
 
-import zlib
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -10,6 +9,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from fuselog.replay.chunks import ChunkHeader
+from fuselog.replay.crc import crc32
 
 _lz4 = cast(Any, lz4.frame)
 
@@ -44,12 +44,12 @@ class Decompressor:
         """
         packed = data[header.begin : header.end]
         self._refuse_too_big(header.size, len(packed))
-        records = self._unpack(header.compression, packed, header.size)
+        records = np.frombuffer(self._unpack(header.compression, packed, header.size), np.uint8)
         if len(records) != header.size:
             raise ValueError(f"chunk of {len(records)} bytes, declared {header.size}")
-        if self._check_crc and header.crc and zlib.crc32(records) != header.crc:
+        if self._check_crc and header.crc and crc32(records) != header.crc:
             raise ValueError("chunk crc does not match")
-        return np.frombuffer(records, np.uint8)
+        return records
 
     def _refuse_too_big(self, size: int, packed: int) -> None:
         limits = self._limits

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.schemas.compiled import inline, kernel
+from fuselog.schemas.compiled import kernel, leaf
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 5, 6, 7
 CHUNK_INDEX, STATISTICS, METADATA, METADATA_INDEX, DATA_END = 8, 11, 12, 13, 15
@@ -16,7 +16,7 @@ Integer = int | np.int64  # what a kernel works with
 Walk = tuple[int, int, int, int]
 
 
-@inline
+@leaf
 def read_u64(data: NDArray[np.uint8], at: Integer) -> np.int64:
     """The eight bytes as int64: negative means 2**63 or more."""
     return (
@@ -31,7 +31,7 @@ def read_u64(data: NDArray[np.uint8], at: Integer) -> np.int64:
     )
 
 
-@inline
+@leaf
 def read_time(data: NDArray[np.uint8], at: Integer) -> Integer:
     """A time in ns, at most MAX_TIME."""
     value = read_u64(data, at)
@@ -111,7 +111,7 @@ def fill(
     return n, bool(ordered)
 
 
-@inline
+@leaf
 def put(
     rows: NDArray[np.int64],
     n: int,
