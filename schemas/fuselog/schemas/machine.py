@@ -25,6 +25,8 @@ COUNT_ELEMENTS: Final = 6  # register column: starts a loop over as many element
 TIMES: Final = 7  # register count: starts a loop over a fixed number of elements
 WHILE: Final = 8  # register limit exit: the next element, or to `exit` at the limit or after the last
 JUMP: Final = 9  # target
+BEGIN: Final = 10  # size text: notes where the text begins, at the next multiple of size, and stays
+END: Final = 11  # text: notes its length up to here
 
 _HEADER: Final = 4  # bytes of encapsulation
 _INT8: Final = KINDS["int8"]
@@ -51,7 +53,7 @@ class Program(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """What the machine fills, one row per message; a text is where it lies in the data."""
+    """What the machine fills, one row per message; a text, or another stretch of bytes, is where it lies in the data."""
 
     t_ns: NDArray[np.int64]  # (n,)
     values: NDArray[np.float64]  # (n, width)
@@ -131,6 +133,10 @@ def _message(
                 index[a] += 1
         elif code == JUMP:
             step = a
+        elif code == BEGIN:
+            rows.text_start[row, b] = base + _aligned(at, a)
+        elif code == END:
+            rows.text_length[row, a] = base + at - rows.text_start[row, a]
         elif code == TIMES:
             count[a], index[a] = b, 0
         elif code == ITEMS:

@@ -1,6 +1,6 @@
 """Raw messages and decoded columns: the two shapes in which data enter fuselog."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
@@ -47,6 +47,17 @@ class Messages:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Ragged:
+    """n lists in one: message i holds ``values[offsets[i] : offsets[i + 1]]``, in the type of the schema."""
+
+    values: NDArray[np.generic] | list[str]  # (total,)
+    offsets: NDArray[np.int64]  # (n + 1,)
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Columns:
     """n messages of one channel as columns: ``values[:, k]`` holds the field ``paths[k]``.
 
@@ -58,6 +69,7 @@ class Columns:
     paths: tuple[str, ...]  # (width,)
     fault: NDArray[np.uint8]  # (n,) of Fault
     texts: dict[str, list[str]]  # string fields that were asked for
+    lists: dict[str, Ragged] = field(default_factory=dict[str, Ragged])  # and those asked for as lists
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -65,3 +77,8 @@ class Columns:
     def __getitem__(self, path: str) -> NDArray[np.float64]:
         """The column ``path`` (n,), a view."""
         return self.values[:, self.paths.index(path)]
+
+
+def empty_rows(n: int, width: int) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8]]:
+    """Unwritten ``t_ns``, ``values`` and ``fault`` of `Columns`."""
+    return np.empty(n, np.int64), np.empty((n, width)), np.empty(n, np.uint8)
