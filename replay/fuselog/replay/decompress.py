@@ -1,5 +1,6 @@
 """Chunk payloads to bytes, never more of them than the limits allow, whatever the file says of itself."""
 
+import threading
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -30,12 +31,12 @@ class Limits:
 
 
 class Decompressor:
-    """Opens the chunks of one log; keeps the zstd context from chunk to chunk."""
+    """Opens the chunks of one log; keeps a zstd context for every thread from chunk to chunk."""
 
     def __init__(self, limits: Limits, *, check_crc: bool) -> None:
         self._limits = limits
         self._check_crc = check_crc
-        self._zstd = zstandard.ZstdDecompressor()
+        self._contexts = threading.local()
 
     def open(self, data: NDArray[np.uint8], header: ChunkHeader) -> NDArray[np.uint8]:
         """The records of the chunk (header.size,); a view of ``data`` when the chunk is not compressed.
@@ -75,9 +76,15 @@ class Decompressor:
             told = zstandard.frame_content_size(view)  # -1: the frame does not tell
             if told not in (-1, size):
                 raise ValueError(f"chunk of {told} bytes, declared {size}")
-            return self._zstd.decompress(view, max_output_size=size) if size else b""
+            return self._context().decompress(view, max_output_size=size) if size else b""
         except zstandard.ZstdError as error:
             raise ValueError(f"zstd: {error}") from error
+
+    def _context(self) -> zstandard.ZstdDecompressor:
+        context = getattr(self._contexts, "zstd", None)
+        if context is None:
+            context = self._contexts.zstd = zstandard.ZstdDecompressor()
+        return context
 
 
 def _unpack_lz4(packed: NDArray[np.uint8], size: int) -> bytes:

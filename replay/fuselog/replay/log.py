@@ -13,14 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.replay.channels import Channel, parse
-from fuselog.replay.columns import decode_topic
 from fuselog.replay.contents import MAGIC, survey
 from fuselog.replay.decompress import Limits
 from fuselog.replay.loss import Loss, Losses
-from fuselog.replay.merge import in_time_order
+from fuselog.replay.merge import by_start, in_time_order
+from fuselog.replay.opening import opened_ahead
 from fuselog.replay.reading import ChunkOpener, Reading
+from fuselog.replay.topic import Topic, show_topics
 from fuselog.schemas.errors import LogError
 from fuselog.schemas.messages import Columns, Messages
+from fuselog.schemas.shown import Shown, clock
 
 
 class RawMessage(NamedTuple):
@@ -99,16 +101,18 @@ class Log:
             found[record.name] = record.metadata
         return found
 
-    def batches(self, topics: Collection[str] | None = None) -> Iterator[Messages]:
+    def batches(self, topics: Collection[str] | None = None, workers: int = 1) -> Iterator[Messages]:
         """All messages of ``topics`` (all when None; absent ones give nothing), a chunk at a time.
 
         ``stream`` is the channel number. Payloads lie in the decompressed chunk, or in the file itself.
-        Memory is bounded by a chunk and those that overlap it in time.
+        Memory is bounded by a chunk and those that overlap it in time, and two more for each of ``workers``, when
+        these are more than one: threads that decompress ahead. Their number changes nothing that comes.
         """
         chosen = {id for id, c in self.channels.items() if topics is None or c.topic in topics}
         reading = Reading(self._opener, self._losses, chosen)
-        chunks = [chunk for chunk in self._contents.chunks if reading.wants(chunk)]
-        yield from in_time_order(chunks, reading.load)
+        chunks = by_start(chunk for chunk in self._contents.chunks if reading.wants(chunk))
+        with opened_ahead(chunks, self._opener.unpack, workers) as unpack:
+            yield from in_time_order(chunks, lambda chunk: reading.load(chunk, unpack))
         if topics is None:
             reading.note_undeclared()
         counts = self._contents.message_counts()
@@ -130,16 +134,34 @@ class Log:
             ):
                 yield RawMessage(log, publish, channel, sequence, bytes(data[start : start + length]))
 
-    def read(self, topic: str, fields: Sequence[str], *, stamp: str | None = None) -> Columns:
+    def read(self, topic: str, fields: Sequence[str], *, stamp: str | None = None, workers: int = 1) -> Columns:
         """The whole topic as columns, in log-time order: ``read("/imu", ["angular_velocity.z"])``.
 
         ``stamp`` names the field of `Columns.t_ns`; by default the one that looks like it, and the log time
         where a type has none. Raises LogError without such a topic, SchemaError without such a field.
         """
+        return self[topic].columns(fields, stamp=stamp, workers=workers)
+
+    def __getitem__(self, topic: str) -> Topic:
+        """The topic as a table: ``log["/imu"].pandas()``. Raises LogError without such a topic."""
         channels = self.topics.get(topic)
         if channels is None:
             raise LogError(self.path, 0, f"no topic {topic!r}; it has {', '.join(self.topics) or 'none'}")
-        return decode_topic(self.batches([topic]), channels, fields, stamp)
+        return Topic(topic, channels, self.batches)
+
+    def __repr__(self) -> str:
+        return self._shown().text()
+
+    def _repr_html_(self) -> str:
+        return self._shown().html()
+
+    def _shown(self) -> Shown:
+        first, last = self.time_range or (0, 0)
+        counts = [channel.count for channel in self.channels.values() if channel.count is not None]
+        many = f"{sum(counts)} messages" if len(counts) == len(self.channels) else "messages not counted"
+        when = f", from {clock(first)} for {(last - first) * 1e-9:.3f} s" if self.time_range else ""
+        title = f"Log {self.path}: {len(self.topics)} topics, {many}{when}"
+        return show_topics(title, {name: self[name] for name in self.topics}, (last - first) * 1e-9)
 
 
 def open_log(path: str | PathLike[str], *, limits: Limits | None = None, check_crc: bool = True) -> Log:

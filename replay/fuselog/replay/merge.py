@@ -18,7 +18,7 @@ def in_time_order(chunks: Iterable[Chunk], load: Callable[[Chunk], Messages | No
     ``load`` gives the messages of a chunk in time order, None if it has none. Only chunks that overlap
     are held together; a chunk that no other overlaps is passed on as it is, without a copy.
     """
-    order = sorted(chunks, key=lambda chunk: (chunk.start_ns, chunk.offset))
+    order = by_start(chunks)
     waiting: list[Part] = []
     for chunk, following in zip(order, [*order[1:], None], strict=False):
         messages = load(chunk)
@@ -27,6 +27,11 @@ def in_time_order(chunks: Iterable[Chunk], load: Callable[[Chunk], Messages | No
         ready, waiting = _cut(waiting, following)
         if ready:
             yield _join(ready)
+
+
+def by_start(chunks: Iterable[Chunk]) -> list[Chunk]:
+    """The chunks in the order in which they are loaded."""
+    return sorted(chunks, key=lambda chunk: (chunk.start_ns, chunk.offset))
 
 
 def _cut(waiting: list[Part], following: Chunk | None) -> tuple[list[Part], list[Part]]:

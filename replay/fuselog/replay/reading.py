@@ -1,6 +1,6 @@
 """One reading of a log: chunk by chunk from bytes to messages, with a count of what came and what did not."""
 
-from collections.abc import Set
+from collections.abc import Callable, Set
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,16 +38,26 @@ class ChunkOpener:
 
     def open(self, chunk: Chunk) -> Block | None:
         """The records of the chunk, or None when it is bad."""
+        return self.admit(chunk, self.unpack(chunk))
+
+    def unpack(self, chunk: Chunk) -> Block | ValueError:
+        """The records of the chunk, or what is wrong with it; for any thread, as it notes nothing."""
         if chunk.bare:
             return self._data, chunk.offset, chunk.end
         try:
             header = read_header(self._data, chunk.offset, chunk.end)
             data = self._decompressor.open(self._data, header)
         except ValueError as error:
-            counts = self.indexed(chunk)
-            self._losses.add(chunk.offset, str(error), sum(counts.values()) if counts else None)
-            return None
+            return error
         return data, 0, len(data)
+
+    def admit(self, chunk: Chunk, block: Block | ValueError) -> Block | None:
+        """The block of `unpack`, or None after noting the loss."""
+        if not isinstance(block, ValueError):
+            return block
+        counts = self.indexed(chunk)
+        self._losses.add(chunk.offset, str(block), sum(counts.values()) if counts else None)
+        return None
 
     def indexed(self, chunk: Chunk) -> dict[int, int] | None:
         """Messages by channel that the message index of the chunk counts."""
@@ -76,9 +86,9 @@ class Reading:
         """Whether the chunk may hold messages of the chosen channels."""
         return chunk.channels is None or bool(self._wanted[chunk.channels].any())
 
-    def load(self, chunk: Chunk) -> Messages | None:
+    def load(self, chunk: Chunk, unpack: Callable[[Chunk], Block | ValueError]) -> Messages | None:
         """The chosen messages of the chunk in time order, ties as they lie; None if there are none."""
-        block = self._opener.open(chunk)
+        block = self._opener.admit(chunk, unpack(chunk))
         if block is None:
             self._count_lost(chunk, np.zeros(_CHANNELS, np.int64))
             return None

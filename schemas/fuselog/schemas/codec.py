@@ -10,6 +10,7 @@ from fuselog.schemas.cdr import CdrCodec
 from fuselog.schemas.errors import SchemaError
 from fuselog.schemas.json_columns import JsonCodec
 from fuselog.schemas.jsonschema import parse_jsonschema
+from fuselog.schemas.layout import Layout, lay_out
 from fuselog.schemas.messages import Columns
 from fuselog.schemas.paths import guess_stamp, list_paths
 from fuselog.schemas.ros2msg import parse_ros2msg
@@ -71,6 +72,18 @@ def field_paths(*, encoding: str, schema_encoding: str, schema_name: str, schema
 def stamp_path(*, encoding: str, schema_encoding: str, schema_name: str, schema_text: str | bytes) -> str | None:
     """Where the stamp probably is: ``header.stamp``, else a top-level field named like one, else None."""
     return guess_stamp(_tree(encoding, schema_encoding, schema_name, schema_text))
+
+
+def layout(
+    *,
+    encoding: str,
+    schema_encoding: str,
+    schema_name: str,
+    schema_text: str | bytes,
+    fields: Sequence[str] | None = None,
+) -> Layout:
+    """The columns that ``fields`` of a type make in a table, all fields when None; see `lay_out`."""
+    return lay_out(schema_name, _tree(encoding, schema_encoding, schema_name, schema_text), fields)
 
 
 _PARSERS: Final[dict[tuple[str, str], Callable[[str, str], Node]]] = {
