@@ -16,6 +16,7 @@ Column: TypeAlias = NDArray[Any] | list[str] | Ragged
 """(n,) numbers, whole ns or strings; or n lists, those of fixed length too."""
 
 LOG_TIME, PUBLISH_TIME = "log_time", "publish_time"
+_MOST_COLUMNS = 64  # of a fixed array
 _SECOND = 1_000_000_000  # ns
 _MOST_SECONDS = 2**63 // _SECOND - 1
 
@@ -102,7 +103,7 @@ class _Decoder:
         for path, kind in kinds.items():
             if kind.parts is not None:
                 fields += [f"{path}.{part}" for part in kind.parts]
-            elif kind.array or kind.element in ("int64", "uint64"):
+            elif _is_list(kind):
                 lists.append(path)
             else:
                 fields.append(path)
@@ -131,6 +132,10 @@ class _Decoder:
                 columns[path], absent = _listed(decoded.lists[path], kind)
             elif path in decoded.texts:
                 columns[path] = decoded.texts[path]
+            elif kind.array:
+                first = at[f"{path}[0]"]
+                columns[path], absent = _numbers(decoded.values[:, first : first + (kind.length or 0)], kind)
+                absent = None if absent is None else absent.any(axis=1)
             else:
                 columns[path], absent = _numbers(decoded.values[:, at[path]], kind)
             if absent is not None and absent.any():
@@ -138,8 +143,15 @@ class _Decoder:
         return Table(messages.log_time, messages.publish_time, decoded.fault, columns, missing)
 
 
+def _is_list(kind: ColumnKind) -> bool:
+    """Whether the decoder has to give a column as lists: of any length, or exactly where float64 would round."""
+    if kind.element in ("int64", "uint64"):
+        return True
+    return kind.array and (kind.element == "string" or not kind.length or kind.length > _MOST_COLUMNS)
+
+
 def _numbers(values: NDArray[np.float64], kind: ColumnKind) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-    """A column (n,) in its own type, and where it has no number if it is of integers."""
+    """A column (n,) or (n, length) in its own type, and where it has no number if it is of integers."""
     dtype = dtype_of(kind.element)
     if kind.element == "bool":
         return values == 1, np.isnan(values)

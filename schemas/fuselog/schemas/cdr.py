@@ -10,7 +10,7 @@ from fuselog.schemas.machine import Rows, run
 from fuselog.schemas.messages import Columns, Fault, empty_rows
 from fuselog.schemas.paths import expand, join_path, split_path, stamp_leaves
 from fuselog.schemas.program import Want, assemble
-from fuselog.schemas.spans import find_listable, read_spans
+from fuselog.schemas.spans import find_changes, find_listable, read_spans
 from fuselog.schemas.tree import Node, Text
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
@@ -109,16 +109,24 @@ def _strings(
     length: NDArray[np.int64],
     encoding: str,
 ) -> list[str]:
+    """The texts; those that stay the same from message to message, as frames do, are decoded once."""
+    starts, lengths = np.ascontiguousarray(start), np.ascontiguousarray(length)
+    differs = np.empty(len(message), np.bool_)
+    find_changes(data, message, starts, lengths, differs)
+    changes = np.flatnonzero(differs)
+    times = np.diff(changes, append=len(message)).tolist()
     known: dict[bytes, str] = {}
     texts: list[str] = []
     view = data.data
-    for first, at, size in zip(message.tolist(), start.tolist(), length.tolist(), strict=True):
+    for first, at, size, n in zip(
+        message[changes].tolist(), starts[changes].tolist(), lengths[changes].tolist(), times, strict=True
+    ):
         raw = bytes(view[at : at + size])
         if encoding == "utf-16" and size:
-            texts.append(raw.decode("utf-16-le" if view[first + 1] else "utf-16-be", "replace"))
+            texts += [raw.decode("utf-16-le" if view[first + 1] else "utf-16-be", "replace")] * n
             continue
         text = known.get(raw)
         if text is None:
             text = known[raw] = raw.decode(encoding, "replace")
-        texts.append(text)
+        texts += [text] * n
     return texts

@@ -79,8 +79,20 @@ def copy_elements(
                 target[to + k] = data[source + k]
 
 
+@kernel
+def find_changes(data: NDArray[np.uint8], message: Ints, start: Ints, length: Ints, differs: NDArray[np.bool_]) -> None:
+    """Mark the messages (n,) whose span is not, byte for byte and in byte order, that of the message before."""
+    for i in range(start.size):
+        same = i > 0 and length[i] == length[i - 1]
+        if same and length[i] > 0:
+            same = data[message[i] + 1] == data[message[i - 1] + 1]
+            for k in range(length[i]):
+                same &= data[start[i] + k] == data[start[i - 1] + k]
+        differs[i] = not same
+
+
 def _read_strings(fixed: int | None, data: NDArray[np.uint8], message: Ints, start: Ints, length: Ints) -> Ragged:
-    """Lists of strings; those that repeat, as the names of joints do, are read once."""
+    """Lists of strings; equal ones, as the names of joints are, are read once."""
     known: dict[tuple[bytes, bool], list[str]] = {}
     texts: list[str] = []
     offsets = np.zeros(len(start) + 1, np.int64)
