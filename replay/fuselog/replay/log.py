@@ -17,9 +17,9 @@ from fuselog.replay.contents import MAGIC, survey
 from fuselog.replay.decompress import Limits
 from fuselog.replay.loss import Loss, Losses
 from fuselog.replay.merge import by_start, in_time_order
-from fuselog.replay.opening import opened_ahead
 from fuselog.replay.reading import ChunkOpener, Reading
 from fuselog.replay.topic import Topic, show_topics
+from fuselog.replay.workers import opened_ahead
 from fuselog.schemas.errors import LogError
 from fuselog.schemas.messages import Columns, Messages
 from fuselog.schemas.shown import Shown, clock
@@ -101,7 +101,7 @@ class Log:
             found[record.name] = record.metadata
         return found
 
-    def batches(self, topics: Collection[str] | None = None, workers: int = 1) -> Iterator[Messages]:
+    def batches(self, topics: Collection[str] | None = None, *, workers: int = 1) -> Iterator[Messages]:
         """All messages of ``topics`` (all when None; absent ones give nothing), a chunk at a time.
 
         ``stream`` is the channel number. Payloads lie in the decompressed chunk, or in the file itself.
@@ -147,7 +147,7 @@ class Log:
         channels = self.topics.get(topic)
         if channels is None:
             raise LogError(self.path, 0, f"no topic {topic!r}; it has {', '.join(self.topics) or 'none'}")
-        return Topic(topic, channels, self.batches)
+        return Topic(topic, channels, lambda workers: self.batches([topic], workers=workers))
 
     def __repr__(self) -> str:
         return self._shown().text()

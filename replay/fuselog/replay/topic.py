@@ -1,6 +1,6 @@
 """One topic of a log as a table: for numpy, Arrow, pandas and polars."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
@@ -16,7 +16,7 @@ from fuselog.schemas.errors import SchemaError
 from fuselog.schemas.shown import Shown
 
 _STAMPS = ("time", "duration")
-Read = Callable[[Collection[str], int], Iterable[Messages]]  # batches of topics, by so many workers
+Read = Callable[[int], Iterable[Messages]]  # the messages of the topic, by so many workers
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,7 +56,7 @@ class Topic:
     def tables(self, fields: Sequence[str] | None = None, *, workers: int = 1) -> Iterator[Table]:
         """The topic a chunk at a time, in bounded memory."""
         decoder = TableDecoder(self.channels, fields)
-        for messages in self.read([self.name], workers):
+        for messages in self.read(workers):
             yield from decoder.decode(messages)
 
     def columns(
@@ -66,7 +66,7 @@ class Topic:
         if fields is None:
             kinds = self._layout.columns.items()
             fields = [path for path, kind in kinds if kind.element not in _STAMPS and _is_one_or_fixed(kind)]
-        return decode_topic(self.read([self.name], workers), self.channels, fields, stamp)
+        return decode_topic(self.read(workers), self.channels, fields, stamp)
 
     def numpy(self, fields: Sequence[str] | None = None, *, workers: int = 1) -> dict[str, Any]:
         """Arrays by name: ``log_time``, ``publish_time`` (ns), ``fault``, and every field in its own type.
@@ -74,7 +74,7 @@ class Topic:
         Times are int64 ns, fixed arrays (n, length), strings objects, and lists of any length `Ragged`.
         """
         decoder = TableDecoder(self.channels, fields)
-        batches = self.read([self.name], workers)
+        batches = self.read(workers)
         tables = [table for messages in batches for table in decoder.decode(messages)] or [decoder.empty()]
         arrays: dict[str, Any] = {
             LOG_TIME: np.concatenate([table.log_time for table in tables]),
@@ -92,7 +92,7 @@ class Topic:
         decoder = TableDecoder(self.channels, fields)
         batches = [
             arrow.to_arrow(table, decoder.kinds)
-            for messages in self.read([self.name], workers)
+            for messages in self.read(workers)
             for table in decoder.decode(messages)
         ]
         return pa.Table.from_batches(batches, schema=arrow.schema_of(decoder.kinds))

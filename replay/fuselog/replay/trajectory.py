@@ -12,7 +12,6 @@ from fuselog.fusion.kernel.rotations import quaternions_from_rpy
 from fuselog.fusion.outputs import ESTIMATE
 from fuselog.replay.export import Exported, replacing
 from fuselog.replay.log import Log
-from fuselog.replay.results import read_results
 from fuselog.schemas import LogError
 
 Floats = NDArray[np.float64]
@@ -64,14 +63,24 @@ def read_trajectory(log: Log, topic: str) -> Trajectory:
 
 
 def _of_estimates(log: Log, topic: str) -> Trajectory:
-    results = read_results(log, topic)
-    if not {"x", "y"} <= set(results.states):
-        raise LogError(log.path, 0, f"{topic} has the states {', '.join(results.states)}: no position")
+    found = log[topic].numpy(["header.stamp", "names", "state"])
+    good = found["fault"] == 0
+    names, state = found["names"], found["state"]
+    n = int(names.offsets[1:][good][0]) if good.any() else 0
+    states = list(names.values[:n])
+    if not {"x", "y"} <= set(states):
+        raise LogError(log.path, 0, f"{topic} has the states {', '.join(states) or 'of no message'}: no position")
+    if len(state.values) != n * good.sum() or states * int(good.sum()) != names.values.tolist():
+        raise LogError(log.path, 0, f"{topic}: the states change")
+    x = state.values.reshape(-1, n)
+    order = np.argsort(found["header.stamp"][good], kind="stable")
+    t_ns = found["header.stamp"][good][order]
+    last = np.append(t_ns[1:] != t_ns[:-1], True)
     position, rpy = (
-        np.stack([_state(results.states, results.x, name) for name in names], axis=1)
+        np.stack([_state(states, x[order][last], name) for name in names], axis=1)
         for names in (("x", "y", "z"), ("roll", "pitch", "yaw"))
     )
-    return Trajectory(results.t_ns, position, quaternions_from_rpy(rpy))
+    return Trajectory(t_ns[last], position, quaternions_from_rpy(rpy), len(good) - int(good.sum()))
 
 
 def _state(states: Sequence[str], x: Floats, name: str) -> Floats:
@@ -81,7 +90,7 @@ def _state(states: Sequence[str], x: Floats, name: str) -> Floats:
 def write_tum(trajectory: Trajectory, path: Path, *, force: bool = False) -> Exported:
     """A line a pose: ``seconds tx ty tz qx qy qz qw``; seconds with all nine decimals. Raises ExportError."""
     rows = np.concatenate([trajectory.position, trajectory.quaternion], axis=1)
-    stamps = [f"{t // _SECOND}.{t % _SECOND:09d} " for t in trajectory.t_ns.tolist()]
+    stamps = [f"{'-' * (t < 0)}{abs(t) // _SECOND}.{abs(t) % _SECOND:09d} " for t in trajectory.t_ns.tolist()]
     return _write(path, rows, stamps, trajectory.bad, force)
 
 
