@@ -142,7 +142,7 @@ def test_random_bytes_neither_raise_nor_read_outside() -> None:
 
 
 def test_what_is_no_list_is_refused_by_name() -> None:
-    with pytest.raises(SchemaError, match="parts is a/Part.*not a list"):
+    with pytest.raises(SchemaError, match=r"parts is a/Part.*not a list"):
         decode([], ["parts"])
 
 
@@ -196,9 +196,11 @@ def test_the_columns_of_a_type_and_what_makes_none() -> None:
     }  # fmt: skip
     assert list(found.left_out) == ["parts"]
     assert "parts[0].kind" in found.left_out["parts"]
-    one = layout(encoding="cdr", schema_encoding="ros2msg", schema_name="a/msg/B", schema_text=TEXT, fields=["parts[1]"])
+    one = layout(
+        encoding="cdr", schema_encoding="ros2msg", schema_name="a/msg/B", schema_text=TEXT, fields=["parts[1]"]
+    )
     assert [f"{path} {kind}" for path, kind in one.columns.items()] == [
         "parts[1].kind uint16", "parts[1].tags string[]", "parts[1].at time",
     ]  # fmt: skip
-    with pytest.raises(SchemaError, match="parts: a/Part.*ask for parts"):
+    with pytest.raises(SchemaError, match=r"parts: a/Part.*ask for parts"):
         layout(encoding="cdr", schema_encoding="ros2msg", schema_name="a/msg/B", schema_text=TEXT, fields=["parts"])

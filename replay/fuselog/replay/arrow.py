@@ -62,15 +62,13 @@ def column_name(path: str) -> str:
 
 
 def _type(pa: Any, kind: ColumnKind) -> Any:
-    element = {"time": pa.timestamp("ns"), "duration": pa.duration("ns"), "string": pa.string()}.get(
-        kind.element, None
-    ) or pa.type_for_alias(_ALIASES.get(kind.element, kind.element))
+    element = pa.type_for_alias(_ALIASES.get(kind.element, kind.element))
     if not kind.array:
         return element
     return pa.list_(element) if kind.length is None or kind.element == "string" else pa.list_(element, kind.length)
 
 
-_ALIASES = {"byte": "uint8", "char": "uint8"}
+_ALIASES = {"byte": "uint8", "char": "uint8", "time": "timestamp[ns]", "duration": "duration[ns]"}
 
 
 def _array(pa: Any, column: Column, kind: ColumnKind, null: NDArray[np.bool_] | None) -> Any:

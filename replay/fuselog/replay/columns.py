@@ -39,9 +39,7 @@ def decode_topic(
     return table.columns()
 
 
-def _decode_mixed(
-    batch: Messages, codecs: dict[int, tuple[Codec, bool]], rows: Columns
-) -> dict[str, list[str]]:
+def _decode_mixed(batch: Messages, codecs: dict[int, tuple[Codec, bool]], rows: Columns) -> dict[str, list[str]]:
     """Decode each channel's messages to their places in ``rows`` -> the texts of all."""
     texts: dict[str, list[str]] = {}
     for id, (codec, has_stamp) in codecs.items():
@@ -89,8 +87,9 @@ class _Growing:
         return self._slice(0, self._count, self._texts)
 
     def _slice(self, first: int, last: int, texts: dict[str, list[str]]) -> Columns:
-        t_ns, values, fault = (column[first:last] for column in self._rows)
-        return Columns(t_ns=t_ns, values=values, paths=self._paths, fault=fault, texts=texts)
+        t_ns, values, fault = self._rows
+        rows = slice(first, last)
+        return Columns(t_ns=t_ns[rows], values=values[rows], paths=self._paths, fault=fault[rows], texts=texts)
 
 
 def _compile(channel: Channel, fields: Sequence[str], stamp: str | None) -> tuple[Codec, bool]:

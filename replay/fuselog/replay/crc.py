@@ -10,7 +10,7 @@ from typing import Any, Final, Protocol, cast
 
 import numpy as np
 from llvmlite import binding, ir
-from numba import config as numba_config
+from numba import config
 from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
@@ -43,7 +43,8 @@ def crc32(data: NDArray[np.uint8]) -> int:
 @cache
 def _has_carryless_multiplication() -> bool:
     """Whether kernels are compiled for a processor that has it; a forced processor may lack it."""
-    forced = numba_config.CPU_NAME or numba_config.CPU_FEATURES
+    options = cast(Any, config)
+    forced = options.CPU_NAME or options.CPU_FEATURES
     return not forced and binding.get_host_cpu_features().get("pclmul", False)
 
 

@@ -5,7 +5,7 @@
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,7 +49,7 @@ class Format(NamedTuple):
 
 
 @contextmanager
-def replacing(path: Path, *, force: bool) -> Iterator[Path]:
+def replacing(path: Path, *, force: bool) -> Generator[Path]:
     """A file beside ``path`` to write to; it takes its place when the block ends well, and is gone when not.
 
     Raises ExportError when it cannot be written, and without ``force`` when there is something at ``path``.
@@ -92,7 +92,7 @@ def export_tables(
 
 
 @contextmanager
-def _gathering(path: Path, format: Format, decoder: TableDecoder) -> "Iterator[_Gathering]":
+def _gathering(path: Path, format: Format, decoder: TableDecoder) -> "Generator[_Gathering]":
     schema = format.shape(to_arrow(decoder.empty(), decoder.kinds)).schema
     with format.open(path, schema) as writer:
         gathering = _Gathering(writer)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -9,7 +10,6 @@ from numpy.typing import NDArray
 
 from fuselog.replay.channels import Channel
 from fuselog.schemas import ColumnKind, Layout, Messages, Ragged, SchemaError, compile_codec, layout
-from fuselog.schemas.messages import Columns
 from fuselog.schemas.tree import dtype_of
 
 Column: TypeAlias = NDArray[Any] | list[str] | Ragged
@@ -73,10 +73,9 @@ class TableDecoder:
             yield self._by_channel[channels[0]].decode(messages)
             return
         edges = [0, *(np.flatnonzero(np.diff(messages.stream)) + 1).tolist(), len(messages)]
-        for first, last in zip(edges[:-1], edges[1:], strict=True):
+        for first, last in pairwise(edges):
             if first < last:
                 yield self._by_channel[int(messages.stream[first])].decode(messages.take(slice(first, last)))
-
 
     def empty(self) -> Table:
         """No messages, in the right types."""
@@ -135,7 +134,7 @@ class _Decoder:
             elif kind.array:
                 first = at[f"{path}[0]"]
                 columns[path], absent = _numbers(decoded.values[:, first : first + (kind.length or 0)], kind)
-                absent = None if absent is None else absent.any(axis=1)
+                absent = None if absent is None else np.asarray(absent.any(axis=1))
             else:
                 columns[path], absent = _numbers(decoded.values[:, at[path]], kind)
             if absent is not None and absent.any():

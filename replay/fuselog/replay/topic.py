@@ -59,9 +59,7 @@ class Topic:
         for messages in self.read(workers):
             yield from decoder.decode(messages)
 
-    def columns(
-        self, fields: Sequence[str] | None = None, *, stamp: str | None = None, workers: int = 1
-    ) -> Columns:
+    def columns(self, fields: Sequence[str] | None = None, *, stamp: str | None = None, workers: int = 1) -> Columns:
         """All messages as one float64 matrix and strings, as ``Log.read`` gives them; None leaves lists out."""
         if fields is None:
             kinds = self._layout.columns.items()

@@ -1,7 +1,7 @@
 """Chunks opened some ahead of who takes them, by several threads."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
@@ -15,7 +15,7 @@ _AHEAD = 2  # chunks of a worker that may be open and not taken
 @contextmanager
 def opened_ahead(
     chunks: Iterable[Chunk], open_chunk: Callable[[Chunk], _T], workers: int
-) -> Iterator[Callable[[Chunk], _T]]:
+) -> Generator[Callable[[Chunk], _T]]:
     """``open_chunk`` for chunks that are asked for in this order, by so many threads; one worker is no thread.
 
     The result, or the exception that opening raised, is the same as without threads: they share nothing that changes.

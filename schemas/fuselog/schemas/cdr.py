@@ -20,9 +20,9 @@ class CdrCodec:
     """Decodes chosen fields of one message type.
 
     ``paths`` are the numeric leaves of the fields that were asked for, one column each; string leaves go to
-    ``Columns.texts``, and ``lists`` to ``Columns.lists``. A message is walked to its last field whatever was asked for, so that a
-    truncated one is a fault always. Wide strings are a count and as many units of 2 bytes, as Fast-CDR
-    writes them since version 2.
+    ``Columns.texts``, and ``lists`` to ``Columns.lists``. A message is walked to its last field whatever was
+    asked for, so that a truncated one is a fault always. Wide strings are a count and as many units of 2 bytes,
+    as Fast-CDR writes them since version 2.
     """
 
     def __init__(

@@ -38,11 +38,13 @@ def leaf(function: _Kernel) -> _Kernel:
 
     Counting is an atomic operation per array and call, which is more than half of the time of a small function.
     """
-    return cast(_Kernel, numba.njit(error_model="numpy", inline="never", _nrt=False)(function))
+    return cast(_Kernel, cast(Any, numba.njit)(error_model="numpy", inline="never", _nrt=False)(function))
 
 
 class _Load(Protocol):
-    def __call__(self, data: NDArray[np.uint8], at: int, swapped: bool, dtype: type[_Scalar], /) -> _Scalar: ...
+    def __call__(
+        self, data: NDArray[np.uint8], at: int | np.int64, swapped: bool, dtype: type[_Scalar], /
+    ) -> _Scalar: ...
 
 
 def _load(_context: Any, data: Any, at: Any, swapped: Any, dtype: Any) -> Any:  # noqa: ARG001  types only

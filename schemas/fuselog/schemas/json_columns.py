@@ -169,7 +169,9 @@ def _ragged(rows: list[list[Any]], node: Node) -> Ragged:
     element = node.element if isinstance(node, Array) else node
     offsets = np.cumsum([0, *map(len, rows)])
     together = [item for row in rows for item in row]
-    return Ragged(values=np.array(together, dtype_of(element.kind)) if isinstance(element, Number) else together, offsets=offsets)
+    return Ragged(
+        values=np.array(together, dtype_of(element.kind)) if isinstance(element, Number) else together, offsets=offsets
+    )
 
 
 def _nanoseconds(value: object) -> int:

@@ -38,7 +38,8 @@ class Layout(NamedTuple):
 def lay_out(schema: str, root: Node, fields: Sequence[str] | None) -> Layout:
     """The columns of ``fields``, each a path with all that is below it; of the whole message when None.
 
-    A field without a type is taken for a number. Raises SchemaError for a field that is not there, and for one of ``fields`` that makes no column.
+    A field without a type is taken for a number. Raises SchemaError for a field that is not there, and for one of
+    ``fields`` that makes no column.
     """
     columns: dict[str, ColumnKind] = {}
     left_out: dict[str, str] = {}

@@ -53,7 +53,7 @@ class Program(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """What the machine fills, one row per message; a text, or another stretch of bytes, is where it lies in the data."""
+    """What the machine fills, one row per message; of a text or another stretch of bytes, where it lies."""
 
     t_ns: NDArray[np.int64]  # (n,)
     values: NDArray[np.float64]  # (n, width)

@@ -9,7 +9,7 @@ from fuselog.schemas.compiled import HOST_IS_BIG_ENDIAN, kernel, load
 from fuselog.schemas.errors import SchemaError
 from fuselog.schemas.messages import Ragged
 from fuselog.schemas.paths import Path, find_node, join_path
-from fuselog.schemas.tree import KINDS, Array, Node, Number, Text, dtype_of, kind_of
+from fuselog.schemas.tree import Array, Node, Number, Text, dtype_of, kind_of
 
 Ints = NDArray[np.int64]
 
@@ -99,7 +99,7 @@ def _read_strings(fixed: int | None, data: NDArray[np.uint8], message: Ints, sta
     view = data.data
     for i, (first, at, size) in enumerate(zip(message.tolist(), start.tolist(), length.tolist(), strict=True)):
         if size:
-            key = bytes(view[at : at + size]), view[first + 1] == 0
+            key = bytes(view[at : at + size]), bool(data[first + 1] == 0)
             found = known.get(key)
             if found is None:
                 found = known[key] = _strings_of(*key, fixed)

@@ -118,9 +118,7 @@ def _files(topics: list[str], output: Path, suffix: str) -> dict[str, Path]:
     return files
 
 
-def _write(
-    log: "Log", files: dict[str, Path], format: Format, fields: list[str], force: bool
-) -> "dict[str, Exported]":
+def _write(log: "Log", files: dict[str, Path], format: Format, fields: list[str], force: bool) -> "dict[str, Exported]":
     from fuselog.replay.export import FORMATS, export_tables  # noqa: PLC0415  slow to import
     from fuselog.replay.trajectory import read_trajectory, write_kitti, write_tum  # noqa: PLC0415  slow to import
 
