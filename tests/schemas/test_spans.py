@@ -146,6 +146,30 @@ def test_what_is_no_list_is_refused_by_name() -> None:
         decode([], ["parts"])
 
 
+@pytest.mark.parametrize("n", [1, 63, 64, 500])
+def test_texts_that_repeat_and_change(n: int) -> None:
+    rng = np.random.default_rng(n)
+    texts = [
+        ["", "imu", "imu2", "imu\u00e9", "x" * 40][k] for k in np.sort(rng.integers(0, 4, n)) + (rng.random(n) > 0.9)
+    ]
+    orders = ["<>"[k] for k in rng.integers(0, 2, n)]
+    codec = compile_codec(
+        encoding="cdr", schema_encoding="ros2msg", schema_name="a/msg/B", schema_text="string a\nwstring b",
+        fields=["a", "b"], stamp=None,
+    )  # fmt: skip
+    payloads: list[bytes] = []
+    for text, order in zip(texts, orders, strict=True):
+        cdr = Cdr(order).text(text).put("I", len(text))
+        cdr.body += text.encode("utf-16-le" if order == "<" else "utf-16-be")
+        payloads.append(cdr.done())
+    payloads[n // 2] = payloads[n // 2][:7]
+    texts[n // 2] = ""
+    length = np.array([len(payload) for payload in payloads], np.int64)
+    columns = codec.decode(np.frombuffer(b"".join(payloads), np.uint8), np.cumsum(length) - length, length)
+    assert columns.fault.nonzero()[0].tolist() == [n // 2]
+    assert columns.texts == {"a": texts, "b": texts}
+
+
 def test_rows_are_written_in_place() -> None:
     codec = compile_codec(
         encoding="cdr", schema_encoding="ros2msg", schema_name="a/msg/B", schema_text="float64 x\nfloat64 y",

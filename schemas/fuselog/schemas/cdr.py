@@ -1,7 +1,7 @@
 """CDR payloads (XCDR1, both endiannesses) of any ROS 2 schema into columns."""
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from fuselog.schemas.program import Want, assemble
 from fuselog.schemas.spans import find_changes, find_listable, read_spans
 from fuselog.schemas.tree import Node, Text
 
+_MANY: Final = 64  # texts that it pays to compare first
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
@@ -110,17 +111,18 @@ def _strings(
     encoding: str,
 ) -> list[str]:
     """The texts; those that stay the same from message to message, as frames do, are decoded once."""
-    starts, lengths = np.ascontiguousarray(start), np.ascontiguousarray(length)
-    differs = np.empty(len(message), np.bool_)
-    find_changes(data, message, starts, lengths, differs)
-    changes = np.flatnonzero(differs)
-    times = np.diff(changes, append=len(message)).tolist()
+    times = [1] * len(message)
+    if len(message) >= _MANY:
+        start, length = np.ascontiguousarray(start), np.ascontiguousarray(length)
+        differs = np.empty(len(message), np.bool_)
+        find_changes(data, message, start, length, differs)
+        changes = np.flatnonzero(differs)
+        times = np.diff(changes, append=len(message)).tolist()
+        message, start, length = message[changes], start[changes], length[changes]
     known: dict[bytes, str] = {}
     texts: list[str] = []
     view = data.data
-    for first, at, size, n in zip(
-        message[changes].tolist(), starts[changes].tolist(), lengths[changes].tolist(), times, strict=True
-    ):
+    for first, at, size, n in zip(message.tolist(), start.tolist(), length.tolist(), times, strict=True):
         raw = bytes(view[at : at + size])
         if encoding == "utf-16" and size:
             texts += [raw.decode("utf-16-le" if view[first + 1] else "utf-16-be", "replace")] * n
