@@ -19,13 +19,13 @@ ROWS = [row for chunk in CHUNKS for row in chunk]
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The first log time of every chunk that is opened, in order."""
     met: list[int] = []
-    original = Opener.open
+    original = Opener.unpack
 
     def count(self: Opener, chunk: object) -> object:
         met.append(chunk.start_ns)
         return original(self, chunk)
 
-    monkeypatch.setattr(Opener, "open", count)
+    monkeypatch.setattr(Opener, "unpack", count)
     return met
 
 

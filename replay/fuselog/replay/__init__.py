@@ -6,9 +6,11 @@ from fuselog.replay.follow import Follower
 from fuselog.replay.log import Log
 from fuselog.replay.loss import Loss
 from fuselog.replay.opening import open_log
+from fuselog.replay.opening import open_log as open
 from fuselog.replay.part import Attachment
 from fuselog.replay.raw import RawMessage
 from fuselog.replay.reprocess import Summary, reprocess, reprocess_to, smooth_to
+from fuselog.replay.topic import Topic
 from fuselog.replay.tracks import TrackWriter, is_output
 from fuselog.replay.writer import LogWriter
 
@@ -23,8 +25,10 @@ __all__ = [
     "RawMessage",
     "Schema",
     "Summary",
+    "Topic",
     "TrackWriter",
     "is_output",
+    "open",
     "open_log",
     "reprocess",
     "reprocess_to",

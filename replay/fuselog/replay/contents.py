@@ -60,7 +60,7 @@ def find_places(source: Source, opcode: int) -> list[Place]:
 def learn(block: Block, definitions: Definitions) -> None:
     """Take in the Schema and Channel records among the records of a block; ValueError if one is broken."""
     data, begin, end = block
-    _, n, _, whole = records.measure(data, begin, end)
+    n, whole = records.measure(data, begin, end)
     found = np.empty((n, 3), np.int64)
     records.find_definitions(data, begin, whole, found)
     for opcode, at, length in found.tolist():

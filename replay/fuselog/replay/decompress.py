@@ -1,6 +1,6 @@
 """Chunk payloads to bytes, never more of them than the limits allow, whatever the file says of itself."""
 
-import zlib
+import threading
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -10,6 +10,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from fuselog.replay.chunks import ChunkHeader
+from fuselog.replay.crc import crc32
 
 _lz4 = cast(Any, lz4.frame)
 
@@ -30,12 +31,12 @@ class Limits:
 
 
 class Decompressor:
-    """Opens the chunks of one log; keeps the zstd context from chunk to chunk."""
+    """Opens the chunks of one log; keeps a zstd context for every thread from chunk to chunk."""
 
     def __init__(self, limits: Limits, *, check_crc: bool) -> None:
         self._limits = limits
         self._check_crc = check_crc
-        self._zstd = zstandard.ZstdDecompressor()
+        self._contexts = threading.local()
 
     def open(self, data: NDArray[np.uint8], header: ChunkHeader) -> NDArray[np.uint8]:
         """The records of the chunk (header.size,); a view of ``data`` when the chunk is not compressed.
@@ -44,12 +45,12 @@ class Decompressor:
         """
         packed = data[header.begin : header.end]
         self._refuse_too_big(header.size, len(packed))
-        records = self._unpack(header.compression, packed, header.size)
+        records = np.frombuffer(self._unpack(header.compression, packed, header.size), np.uint8)
         if len(records) != header.size:
             raise ValueError(f"chunk of {len(records)} bytes, declared {header.size}")
-        if self._check_crc and header.crc and zlib.crc32(records) != header.crc:
+        if self._check_crc and header.crc and crc32(records) != header.crc:
             raise ValueError("chunk crc does not match")
-        return np.frombuffer(records, np.uint8)
+        return records
 
     def _refuse_too_big(self, size: int, packed: int) -> None:
         limits = self._limits
@@ -75,9 +76,15 @@ class Decompressor:
             told = zstandard.frame_content_size(view)  # -1: the frame does not tell
             if told not in (-1, size):
                 raise ValueError(f"chunk of {told} bytes, declared {size}")
-            return self._zstd.decompress(view, max_output_size=size) if size else b""
+            return self._context().decompress(view, max_output_size=size) if size else b""
         except zstandard.ZstdError as error:
             raise ValueError(f"zstd: {error}") from error
+
+    def _context(self) -> zstandard.ZstdDecompressor:
+        context = getattr(self._contexts, "zstd", None)
+        if context is None:
+            context = self._contexts.zstd = zstandard.ZstdDecompressor()
+        return context
 
 
 def _unpack_lz4(packed: NDArray[np.uint8], size: int) -> bytes:

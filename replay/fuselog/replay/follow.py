@@ -161,7 +161,7 @@ class Follower:
         contents = Contents(mcap.records.Header(profile="", library=""), chunks, self._definitions)
         reading = Reading(self._opener, contents, self._losses, select(self.channels.values(), topics))
         for piece in reading.pieces():
-            messages = piece.load()
+            messages = piece.load(piece.open())
             if messages is not None:
                 yield messages
         reading.finish()

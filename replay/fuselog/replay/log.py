@@ -2,21 +2,23 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
 from fuselog.replay.channels import Channel
-from fuselog.replay.columns import decode_topic
 from fuselog.replay.loss import Loss
 from fuselog.replay.merge import Piece, in_time_order
 from fuselog.replay.part import Attachment, Part
 from fuselog.replay.raw import RawMessage, one_by_one
 from fuselog.replay.selection import Topics, select
+from fuselog.replay.topic import Topic, show_topics
 from fuselog.replay.unify import Numbers, unify
 from fuselog.schemas.errors import LogError
 from fuselog.schemas.messages import Columns, Messages
+from fuselog.schemas.shown import Shown, clock
 
 
 class Log:
@@ -82,20 +84,25 @@ class Log:
         return [attachment for part in self.parts for attachment in part.attachments()]
 
     def batches(
-        self, topics: Topics | None = None, *, start_ns: int | None = None, end_ns: int | None = None
+        self,
+        topics: Topics | None = None,
+        *,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+        workers: int = 1,
     ) -> Iterator[Messages]:
         """The wanted messages, a chunk at a time; ``stream`` is the channel number.
 
         Payloads lie in the decompressed chunk, or in the file itself. Memory is bounded by a chunk and those that
-        overlap it in time.
+        overlap it in time, and two more for each of ``workers``, when these are more than one: threads that decompress
+        ahead. Their number changes nothing that comes.
         """
         wanted = select(self.channels.values(), topics, start_ns, end_ns)
         readings = [
             part.reading(wanted.renumbered(numbers)) for part, numbers in zip(self.parts, self._numbers, strict=True)
         ]
-        yield from in_time_order(
-            self._placed(piece, number) for number, reading in enumerate(readings) for piece in reading.pieces()
-        )
+        pieces = [self._placed(piece, number) for number, reading in enumerate(readings) for piece in reading.pieces()]
+        yield from in_time_order(pieces, workers)
         for reading in readings:
             reading.finish()
 
@@ -113,16 +120,21 @@ class Log:
         stamp: str | None = None,
         start_ns: int | None = None,
         end_ns: int | None = None,
+        workers: int = 1,
     ) -> Columns:
         """The topic as columns, in log-time order: ``read("/imu", ["angular_velocity.z"])``.
 
         ``stamp`` names the field of `Columns.t_ns`; by default the one that looks like it, and the log time
         where a type has none. Raises LogError without such a topic, SchemaError without such a field.
         """
+        return self[topic].between(start_ns, end_ns).columns(fields, stamp=stamp, workers=workers)
+
+    def __getitem__(self, topic: str) -> Topic:
+        """The topic as a table: ``log["/imu"].pandas()``. Raises LogError without such a topic."""
         channels = self.topics.get(topic)
         if channels is None:
             raise LogError(self.path, 0, f"no topic {topic!r}; it has {', '.join(self.topics) or 'none'}")
-        return decode_topic(self.batches(topic, start_ns=start_ns, end_ns=end_ns), channels, fields, stamp)
+        return Topic(topic, channels, partial(self.batches, topic))
 
     def _placed(self, piece: Piece, number: int) -> Piece:
         """A piece of file ``number`` among those of all files, its channels as in `channels`."""
@@ -130,11 +142,25 @@ class Log:
             return piece
         numbers = self._numbers[number]
 
-        def load() -> Messages | None:
-            messages = piece.load()
+        def load(opened: Any) -> Messages | None:
+            messages = piece.load(opened)
             return None if messages is None else _renumbered(messages, numbers)
 
-        return Piece(piece.start_ns, (number, *piece.place), load, piece.fetch)
+        return piece._replace(place=(number, *piece.place), load=load)
+
+    def __repr__(self) -> str:
+        return self._shown().text()
+
+    def _repr_html_(self) -> str:
+        return self._shown().html()
+
+    def _shown(self) -> Shown:
+        first, last = self.time_range or (0, 0)
+        counts = [channel.count for channel in self.channels.values() if channel.count is not None]
+        many = f"{sum(counts)} messages" if len(counts) == len(self.channels) else "messages not counted"
+        when = f", from {clock(first)} for {(last - first) * 1e-9:.3f} s" if self.time_range else ""
+        title = f"Log {self.path}: {len(self.topics)} topics, {many}{when}"
+        return show_topics(title, {name: self[name] for name in self.topics}, (last - first) * 1e-9)
 
 
 def _renumbered(messages: Messages, numbers: Numbers) -> Messages:

@@ -1,56 +1,59 @@
 """Pieces that overlap in time, merged exactly: by log time, ties by file and by where they lie in it."""
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fuselog.replay.workers import opened_ahead
 from fuselog.schemas.compiled import kernel
 from fuselog.schemas.messages import Messages
 
 Place = tuple[int, ...]  # where messages lie: number of the file, position in it; equal log times come by it
 
-
 _FETCHED = 4  # pieces that may be on their way from a server
 
 
 def _nothing() -> None:
-    """What is here need not be fetched."""
+    """What is here need not be fetched or opened."""
 
 
 class Piece(NamedTuple):
     """Messages that are loaded together: none is before ``start_ns``.
 
-    ``load`` gives them in time order, ties as they lie in the file; None if there are none. ``fetch`` is called some
-    pieces before.
+    ``open`` does what takes time, in any thread, and notes nothing; ``load`` makes of what it gave the messages in time
+    order, ties as they lie in the file, None if there are none. ``fetch`` is called some pieces before.
     """
 
     start_ns: int
     place: Place
-    load: Callable[[], Messages | None]
+    load: Callable[[Any], Messages | None]
+    open: Callable[[], Any] = _nothing
     fetch: Callable[[], None] = _nothing
 
 
 _Loaded = tuple[Place, Messages]
 
 
-def in_time_order(pieces: Iterable[Piece]) -> Iterator[Messages]:
+def in_time_order(pieces: Iterable[Piece], workers: int = 1) -> Iterator[Messages]:
     """Load pieces by start time and yield what no later one can precede: by log time, ties by place.
 
-    Only pieces that overlap are held together; one that no other overlaps is passed on without a copy.
+    Only pieces that overlap are held together; one that no other overlaps is passed on without a copy. More than one of
+    ``workers`` are threads that open pieces ahead; their number changes nothing that comes.
     """
     order = sorted(pieces, key=lambda piece: (piece.start_ns, piece.place))
     waiting: list[_Loaded] = []
-    for number, (piece, following) in enumerate(zip(order, [*order[1:], None], strict=False)):
-        for soon in order[number : number + _FETCHED]:
-            soon.fetch()
-        messages = piece.load()
-        if messages is not None:
-            waiting.append((piece.place, messages))
-        ready, waiting = _cut(waiting, following)
-        if ready:
-            yield _join(ready)
+    with opened_ahead([piece.open for piece in order], workers) as opened:
+        for number, (piece, following) in enumerate(zip(order, [*order[1:], None], strict=False)):
+            for soon in order[number : number + _FETCHED]:
+                soon.fetch()
+            messages = piece.load(next(opened))
+            if messages is not None:
+                waiting.append((piece.place, messages))
+            ready, waiting = _cut(waiting, following)
+            if ready:
+                yield _join(ready)
 
 
 def _cut(waiting: list[_Loaded], following: Piece | None) -> tuple[list[_Loaded], list[_Loaded]]:

@@ -22,18 +22,29 @@ class Opener:
 
     def open(self, chunk: Chunk) -> Block | None:
         """The records of the chunk, or None when it is bad."""
+        return self.admit(chunk, self.unpack(chunk))
+
+    def unpack(self, chunk: Chunk) -> Block | ValueError:
+        """The records of the chunk, or what is wrong with it; for any thread, as it notes nothing."""
         packed = chunk.end - chunk.offset
         if not chunk.bare and packed > self._limits.record_bytes:
-            reason = f"chunk of {packed} bytes, above the limit of {self._limits.record_bytes}"
-            return self._refuse(chunk, reason)
+            return ValueError(f"chunk of {packed} bytes, above the limit of {self._limits.record_bytes}")
         record = self._source.read(chunk.offset, chunk.end)
         if chunk.bare:
             return record, 0, len(record)
         try:
             data = self._decompressor.open(record, read_header(record, 0, len(record)))
         except ValueError as error:
-            return self._refuse(chunk, str(error))
+            return error
         return data, 0, len(data)
+
+    def admit(self, chunk: Chunk, block: Block | ValueError) -> Block | None:
+        """The block of `unpack`, or None after noting the loss."""
+        if not isinstance(block, ValueError):
+            return block
+        counts = self.indexed(chunk)
+        self._losses.add(chunk.offset, str(block), sum(counts.values()) if counts else None)
+        return None
 
     def fetch(self, chunk: Chunk) -> None:
         """Told before the chunk is opened."""
@@ -52,7 +63,3 @@ class Opener:
         if len(record) != length or length < records.FRAME:
             raise ValueError("the record lies outside of the file")
         return record
-
-    def _refuse(self, chunk: Chunk, reason: str) -> None:
-        counts = self.indexed(chunk)
-        self._losses.add(chunk.offset, reason, sum(counts.values()) if counts else None)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fuselog.replay import records
 from fuselog.replay.chunks import Chunk
-from fuselog.replay.contents import Contents
+from fuselog.replay.contents import Block, Contents
 from fuselog.replay.loss import Losses
 from fuselog.replay.merge import Piece
 from fuselog.replay.opener import Opener
@@ -32,11 +32,18 @@ class Reading:
         self._wanted[list(self._chosen)] = 1
         self._counts = np.zeros(_CHANNELS, np.int64)  # met
         self._lost = np.zeros(_CHANNELS, np.int64)  # already accounted for as losses of chunks
+        self._rows = np.empty((records.COLUMNS, 0), np.int64)  # of `fill`, for chunk after chunk
 
     def pieces(self) -> list[Piece]:
         """The chunks that may hold something selected, by their index."""
         return [
-            Piece(chunk.start_ns, (chunk.offset,), partial(self._load, chunk), partial(self._opener.fetch, chunk))
+            Piece(
+                chunk.start_ns,
+                (chunk.offset,),
+                partial(self._load, chunk),
+                partial(self._opener.unpack, chunk),
+                partial(self._opener.fetch, chunk),
+            )
             for chunk in self._contents.chunks
             if self._wants(chunk)
         ]
@@ -60,18 +67,16 @@ class Reading:
             return False
         return chunk.channels is None or bool(self._wanted[chunk.channels].any())
 
-    def _load(self, chunk: Chunk) -> Messages | None:
+    def _load(self, chunk: Chunk, opened: Block | ValueError) -> Messages | None:
         """The selected messages of the chunk in time order, ties as they lie; None if there are none."""
-        block = self._opener.open(chunk)
+        block = self._opener.admit(chunk, opened)
         if block is None:
             self._count_lost(chunk, np.zeros(_CHANNELS, np.int64))
             return None
         data, begin, end = block
-        n, _, short, whole = records.measure(data, begin, end)
-        before = self._counts.copy() if whole != end else None
-        messages, ordered = self._fill(data, begin, whole, n)
-        if before is not None:
-            lost = self._count_lost(chunk, self._counts - before)
+        messages, ordered, short, whole = self._fill(data, begin, end)
+        if whole != end:
+            lost = self._count_lost(chunk, records.count(data, begin, end, _CHANNELS))
             self._losses.add(chunk.offset, f"record at byte {whole} of the chunk points outside of it", lost)
         if short:
             self._losses.add(chunk.offset, "messages shorter than their own header", short)
@@ -103,21 +108,23 @@ class Reading:
         end = len(times) if selection.end_ns >= END else int(np.searchsorted(times, max(selection.end_ns, 0)))
         return messages.take(slice(begin, end)) if begin < end else None
 
-    def _fill(self, data: NDArray[np.uint8], begin: int, end: int, n: int) -> tuple[Messages, bool]:
-        stream = np.empty(n, np.int32)
-        times = np.empty((3, n), np.int64)
-        extent = np.empty((2, n), np.int64)
-        n, ordered = records.fill(data, begin, end, self._wanted, self._counts, stream, times, extent)
+    def _fill(self, data: NDArray[np.uint8], begin: int, end: int) -> tuple[Messages, bool, int, int]:
+        """(chosen messages as they lie, whether in time order, short messages, where the whole records end)."""
+        most = (end - begin) // records.LEAST_MESSAGE
+        if most > self._rows.shape[1]:
+            self._rows = np.empty((records.COLUMNS, most), np.int64)
+        n, ordered, short, whole = records.fill(data, begin, end, self._wanted, self._counts, self._rows)
+        channel, sequence, log_time, publish_time, start, length = self._rows[:, :n].copy()
         messages = Messages(
-            stream=stream[:n],
+            stream=channel.astype(np.int32),
             data=data,
-            start=extent[0, :n],
-            length=extent[1, :n],
-            log_time=times[0, :n],
-            publish_time=times[1, :n],
-            sequence=times[2, :n],
+            start=start,
+            length=length,
+            log_time=log_time,
+            publish_time=publish_time,
+            sequence=sequence,
         )
-        return messages, ordered
+        return messages, ordered, short, whole
 
     def _count_lost(self, chunk: Chunk, came: NDArray[np.int64]) -> int | None:
         """Account for what the message index of a damaged chunk counts beyond what came of it."""

@@ -3,35 +3,27 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.schemas.compiled import inline, kernel
+from fuselog.schemas.compiled import HOST_IS_BIG_ENDIAN, kernel, leaf, load
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 5, 6, 7
 CHUNK_INDEX, ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, DATA_END = 8, 9, 10, 11, 12, 13, 15
 FRAME = 9  # bytes of opcode and length before the content of a record
 MESSAGE_HEADER = 22  # bytes of channel, sequence and the two times before the payload
+LEAST_MESSAGE = FRAME + MESSAGE_HEADER  # bytes of a message without payload
+COLUMNS = 6  # of `fill`
 DATA_END_SIZE, FOOTER_SIZE = 4, 20  # of their contents, which are never extended
 MAX_TIME = 2**63 - 1  # ns; later times of the file (u64) are read as this one
 
 Integer = int | np.int64  # what a kernel works with
-Walk = tuple[int, int, int, int]
 
 
-@inline
+@leaf
 def read_u64(data: NDArray[np.uint8], at: Integer) -> np.int64:
     """The eight bytes as int64: negative means 2**63 or more."""
-    return (
-        np.int64(data[at])
-        | np.int64(data[at + 1]) << 8
-        | np.int64(data[at + 2]) << 16
-        | np.int64(data[at + 3]) << 24
-        | np.int64(data[at + 4]) << 32
-        | np.int64(data[at + 5]) << 40
-        | np.int64(data[at + 6]) << 48
-        | np.int64(data[at + 7]) << 56
-    )
+    return load(data, at, HOST_IS_BIG_ENDIAN, np.int64)
 
 
-@inline
+@leaf
 def read_time(data: NDArray[np.uint8], at: Integer) -> Integer:
     """A time in ns, at most MAX_TIME."""
     value = read_u64(data, at)
@@ -39,27 +31,19 @@ def read_time(data: NDArray[np.uint8], at: Integer) -> Integer:
 
 
 @kernel
-def measure(data: NDArray[np.uint8], begin: int, end: int) -> Walk:
-    """Walk ``data[begin:end]`` -> (messages, definitions, short messages, where the whole records end).
+def measure(data: NDArray[np.uint8], begin: int, end: int) -> tuple[int, int]:
+    """Walk ``data[begin:end]`` -> (Schema and Channel records, where the whole records end).
 
-    A record whose length points beyond ``end`` stops the walk before it. Definitions are Schema and
-    Channel records; a short message is one without room for its own header.
+    A record whose length points beyond ``end`` stops the walk before it.
     """
-    at, messages, definitions, short = begin, 0, 0, 0
+    at, definitions = begin, 0
     while at + FRAME <= end:
         length = read_u64(data, at + 1)
         if length < 0 or length > end - at - FRAME:
             break
-        opcode = data[at]
-        if opcode == MESSAGE:
-            if length >= MESSAGE_HEADER:
-                messages += 1
-            else:
-                short += 1
-        elif opcode in (SCHEMA, CHANNEL):
-            definitions += 1
+        definitions += data[at] in (SCHEMA, CHANNEL)
         at += FRAME + length
-    return messages, definitions, short, int(at)
+    return definitions, int(at)
 
 
 @kernel
@@ -81,37 +65,48 @@ def fill(
     end: int,
     wanted: NDArray[np.uint8],
     counts: NDArray[np.int64],
-    stream: NDArray[np.int32],
-    times: NDArray[np.int64],
-    extent: NDArray[np.int64],
-) -> tuple[int, bool]:
-    """Write the wanted messages of whole records ``data[begin:end]`` -> (how many, whether in time order).
+    rows: NDArray[np.int64],
+) -> tuple[int, bool, int, int]:
+    """Write the wanted messages of ``data[begin:end]``.
 
-    ``wanted`` (65536,) by channel; ``counts`` (65536,) grows by every message, wanted or not.
-    ``times`` (3, n): log, publish, sequence. ``extent`` (2, n): start and length of the payload.
+    -> (how many, whether in time order, messages too short for their own header, where the whole records end). A
+    record whose length points beyond ``end`` stops the walk before it. ``wanted`` (65536,) by channel; ``counts``
+    (65536,) grows by every message, wanted or not. ``rows`` (COLUMNS, at least (end - begin) / LEAST_MESSAGE): channel,
+    sequence, log time, publish time, start and length of the payload.
     """
-    at, n, ordered, last = begin, 0, True, np.int64(-1)
+    at, n, ordered, last, short = begin, 0, True, np.int64(-1), 0
     while at + FRAME <= end:
         length = read_u64(data, at + 1)
-        if data[at] == MESSAGE and length >= MESSAGE_HEADER:
-            channel = np.int32(data[at + 9]) | np.int32(data[at + 10]) << 8
+        if length < 0 or length > end - at - FRAME:
+            break
+        if data[at] == MESSAGE and length < MESSAGE_HEADER:
+            short += 1
+        elif data[at] == MESSAGE:
+            channel = np.int64(load(data, at + 9, HOST_IS_BIG_ENDIAN, np.uint16))
             counts[channel] += 1
             if wanted[channel]:
                 log_time = read_time(data, at + 15)
                 ordered &= log_time >= last
                 last = log_time
-                stream[n] = channel
-                times[0, n] = log_time
-                times[1, n] = read_time(data, at + 23)
-                times[2, n] = read_u64(data, at + 11) & 0xFFFFFFFF
-                extent[0, n] = at + FRAME + MESSAGE_HEADER
-                extent[1, n] = length - MESSAGE_HEADER
+                rows[0, n] = channel
+                rows[1, n] = np.int64(load(data, at + 11, HOST_IS_BIG_ENDIAN, np.uint32))
+                rows[2, n] = log_time
+                rows[3, n] = read_time(data, at + 23)
+                rows[4, n] = at + FRAME + MESSAGE_HEADER
+                rows[5, n] = length - MESSAGE_HEADER
                 n += 1
         at += FRAME + length
-    return n, bool(ordered)
+    return n, bool(ordered), short, int(at)
 
 
-@inline
+def count(data: NDArray[np.uint8], begin: int, end: int, channels: int) -> NDArray[np.int64]:
+    """Messages by channel (channels,) of the whole records of ``data[begin:end]``."""
+    counts, none = np.zeros(channels, np.int64), np.zeros(channels, np.uint8)
+    fill(data, begin, end, none, counts, np.empty((COLUMNS, 0), np.int64))
+    return counts
+
+
+@leaf
 def put(
     rows: NDArray[np.int64],
     n: int,

@@ -154,7 +154,7 @@ class RosbagReading:
         if self._came != told:
             self._losses.add(0, f"{self._came} messages read, {told} in the index", max(told - self._came, 0))
 
-    def _load(self, end_ns: int | None) -> Messages | None:
+    def _load(self, end_ns: int | None, _opened: None) -> Messages | None:
         """The messages before ``end_ns`` that were not loaded yet."""
         if self._rows is None:
             self._rows = self._bag.rows(self._selection)

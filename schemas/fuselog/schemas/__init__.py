@@ -1,24 +1,29 @@
 """Message definitions; bytes to columns, columns to bytes."""
 
 from fuselog.schemas.catalogue import definition, known_definitions
-from fuselog.schemas.codec import Codec, compile_codec, field_paths, stamp_path
+from fuselog.schemas.codec import Codec, compile_codec, field_paths, layout, stamp_path
 from fuselog.schemas.encode import CdrEncoder
 from fuselog.schemas.errors import ConfigError, FuselogError, LogError, SchemaError
-from fuselog.schemas.messages import Columns, Fault, Messages
+from fuselog.schemas.layout import ColumnKind, Layout
+from fuselog.schemas.messages import Columns, Fault, Messages, Ragged
 
 __all__ = [
     "CdrEncoder",
     "Codec",
+    "ColumnKind",
     "Columns",
     "ConfigError",
     "Fault",
     "FuselogError",
+    "Layout",
     "LogError",
     "Messages",
+    "Ragged",
     "SchemaError",
     "compile_codec",
     "definition",
     "field_paths",
     "known_definitions",
+    "layout",
     "stamp_path",
 ]

@@ -1,17 +1,19 @@
 """CDR payloads (XCDR1, both endiannesses) of any ROS 2 schema into columns."""
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.schemas.machine import Rows, run
-from fuselog.schemas.messages import Columns, Fault
+from fuselog.schemas.messages import Columns, Fault, empty_rows
 from fuselog.schemas.paths import expand, join_path, split_path, stamp_leaves
 from fuselog.schemas.program import Want, assemble
+from fuselog.schemas.spans import find_changes, find_listable, read_spans
 from fuselog.schemas.tree import Node, Text
 
+_MANY: Final = 64  # texts that it pays to compare first
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
@@ -19,12 +21,14 @@ class CdrCodec:
     """Decodes chosen fields of one message type.
 
     ``paths`` are the numeric leaves of the fields that were asked for, one column each; string leaves go to
-    ``Columns.texts``. A message is walked to its last field whatever was asked for, so that a
-    truncated one is a fault always. Wide strings are a count and as many units of 2 bytes, as Fast-CDR
-    writes them since version 2.
+    ``Columns.texts``, and ``lists`` to ``Columns.lists``. A message is walked to its last field whatever was
+    asked for, so that a truncated one is a fault always. Wide strings are a count and as many units of 2 bytes,
+    as Fast-CDR writes them since version 2.
     """
 
-    def __init__(self, schema_name: str, root: Node, fields: Sequence[str], stamp: str | None) -> None:
+    def __init__(
+        self, schema_name: str, root: Node, fields: Sequence[str], stamp: str | None, lists: Sequence[str] = ()
+    ) -> None:
         want = Want()
         columns: list[int] = []  # of the machine's output, one per path
         paths: list[str] = []
@@ -42,25 +46,37 @@ class CdrCodec:
         if stamp is not None:
             for path, scale in stamp_leaves(schema_name, root, split_path(schema_name, stamp)):
                 want.at(path).stamp_scale = scale
+        self._lists: dict[str, tuple[int, Node]] = {}
+        for text in lists:
+            node = find_listable(schema_name, root, split_path(schema_name, text))
+            column = want.at(split_path(schema_name, text)).span = len(self._texts) + len(self._lists)
+            self._lists[text] = column, node
         self.paths = tuple(paths)
         self._repeated = [(at, column) for at, column in enumerate(columns) if at != column]
         self._program = assemble(root, want)
         none = np.empty(0, np.int64)
         self.decode(np.empty(0, np.uint8), none, none)  # the machine is compiled now, not at the first sample
 
-    def decode(self, data: NDArray[np.uint8], start: NDArray[np.int64], length: NDArray[np.int64]) -> Columns:
+    def decode(
+        self,
+        data: NDArray[np.uint8],
+        start: NDArray[np.int64],
+        length: NDArray[np.int64],
+        *,
+        out: Columns | None = None,
+    ) -> Columns:
         """Columns (n, width) of the payloads ``data[start[i] : start[i] + length[i]]``.
 
         Never raises for what is in the bytes, nor when ``start`` or ``length`` point outside ``data``: such a
-        message is a row with its fault.
+        message is a row with its fault. ``out``: n rows whose numbers, stamps and faults are written over.
         """
         n = len(start)
         if len(length) != n:
             raise ValueError(f"{n} starts and {len(length)} lengths")
         payloads = _fixed(np.ascontiguousarray(data, np.uint8))
         starts = _fixed(np.ascontiguousarray(start, np.int64))
-        text_start, text_length = np.empty((2, n, len(self._texts)), np.int64)
-        t_ns, fault, values = np.empty(n, np.int64), np.empty(n, np.uint8), np.empty((n, len(self.paths)))
+        text_start, text_length = np.empty((2, n, len(self._texts) + len(self._lists)), np.int64)
+        t_ns, values, fault = empty_rows(n, len(self.paths)) if out is None else (out.t_ns, out.values, out.fault)
         rows = Rows(t_ns, values, fault, text_start, text_length)
         run(self._program, payloads, starts, _fixed(np.ascontiguousarray(length, np.int64)), rows)
         for column, source in self._repeated:
@@ -69,7 +85,11 @@ class CdrCodec:
             name: _strings(payloads, starts, text_start[:, column], text_length[:, column], encoding)
             for name, (column, encoding) in self._texts.items()
         }
-        return Columns(t_ns=t_ns, values=values, paths=self.paths, fault=fault, texts=texts)
+        lists = {
+            name: read_spans(node, payloads, starts, *map(np.ascontiguousarray, (text_start.T[k], text_length.T[k])))
+            for name, (k, node) in self._lists.items()
+        }
+        return Columns(t_ns=t_ns, values=values, paths=self.paths, fault=fault, texts=texts, lists=lists)
 
 
 def _encoding(node: Text) -> str:
@@ -90,16 +110,25 @@ def _strings(
     length: NDArray[np.int64],
     encoding: str,
 ) -> list[str]:
+    """The texts; those that stay the same from message to message, as frames do, are decoded once."""
+    times = [1] * len(message)
+    if len(message) >= _MANY:
+        start, length = np.ascontiguousarray(start), np.ascontiguousarray(length)
+        differs = np.empty(len(message), np.bool_)
+        find_changes(data, message, start, length, differs)
+        changes = np.flatnonzero(differs)
+        times = np.diff(changes, append=len(message)).tolist()
+        message, start, length = message[changes], start[changes], length[changes]
     known: dict[bytes, str] = {}
     texts: list[str] = []
     view = data.data
-    for first, at, size in zip(message.tolist(), start.tolist(), length.tolist(), strict=True):
+    for first, at, size, n in zip(message.tolist(), start.tolist(), length.tolist(), times, strict=True):
         raw = bytes(view[at : at + size])
         if encoding == "utf-16" and size:
-            texts.append(raw.decode("utf-16-le" if view[first + 1] else "utf-16-be", "replace"))
+            texts += [raw.decode("utf-16-le" if view[first + 1] else "utf-16-be", "replace")] * n
             continue
         text = known.get(raw)
         if text is None:
             text = known[raw] = raw.decode(encoding, "replace")
-        texts.append(text)
+        texts += [text] * n
     return texts

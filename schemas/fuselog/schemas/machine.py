@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.schemas.compiled import HOST_IS_BIG_ENDIAN, inline, kernel, load
+from fuselog.schemas.compiled import HOST_IS_BIG_ENDIAN, kernel, leaf, load
 from fuselog.schemas.messages import Fault
 from fuselog.schemas.tree import KINDS
 
@@ -25,6 +25,8 @@ COUNT_ELEMENTS: Final = 6  # register column: starts a loop over as many element
 TIMES: Final = 7  # register count: starts a loop over a fixed number of elements
 WHILE: Final = 8  # register limit exit: the next element, or to `exit` at the limit or after the last
 JUMP: Final = 9  # target
+BEGIN: Final = 10  # size text: notes where the text begins, at the next multiple of size, and stays
+END: Final = 11  # text: notes its length up to here
 
 _HEADER: Final = 4  # bytes of encapsulation
 _INT8: Final = KINDS["int8"]
@@ -51,7 +53,7 @@ class Program(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """What the machine fills, one row per message; a text is where it lies in the data."""
+    """What the machine fills, one row per message; of a text or another stretch of bytes, where it lies."""
 
     t_ns: NDArray[np.int64]  # (n,)
     values: NDArray[np.float64]  # (n, width)
@@ -80,7 +82,7 @@ def run(
         rows.fault[row] = found
 
 
-@inline
+@leaf
 def _clear(rows: Rows, row: int) -> None:
     rows.values[row] = np.nan
     rows.t_ns[row] = 0
@@ -88,7 +90,7 @@ def _clear(rows: Rows, row: int) -> None:
     rows.text_length[row] = 0
 
 
-@inline
+@leaf
 def _encapsulation(data: NDArray[np.uint8], start: int, length: int) -> int:
     if start < 0 or length < _HEADER or length > data.size or start > data.size - length:
         return _SIZE
@@ -97,7 +99,7 @@ def _encapsulation(data: NDArray[np.uint8], start: int, length: int) -> int:
     return _GOOD
 
 
-@inline
+@leaf
 def _message(
     program: Program,
     data: NDArray[np.uint8],
@@ -131,6 +133,10 @@ def _message(
                 index[a] += 1
         elif code == JUMP:
             step = a
+        elif code == BEGIN:
+            rows.text_start[row, b] = base + _aligned(at, a)
+        elif code == END:
+            rows.text_length[row, a] = base + at - rows.text_start[row, a]
         elif code == TIMES:
             count[a], index[a] = b, 0
         elif code == ITEMS:
@@ -169,17 +175,17 @@ def _message(
     return _GOOD if stamps == program.stamp_parts else _SCHEMA
 
 
-@inline
+@leaf
 def _size(kind: int) -> int:
     return 1 << (kind >> 2)
 
 
-@inline
+@leaf
 def _aligned(at: int, size: int) -> int:
     return (at + size - 1) & -size
 
 
-@inline
+@leaf
 def _numbers(
     data: NDArray[np.uint8], at: int, kind: int, count: int, values: NDArray[np.float64], swapped: bool
 ) -> None:
@@ -192,7 +198,7 @@ def _numbers(
             values[i] = _number(data, at + i * _size(kind), kind, swapped)
 
 
-@inline
+@leaf
 def _number(data: NDArray[np.uint8], at: int, kind: int, swapped: bool) -> float:
     if kind == _FLOAT32:
         return np.float64(load(data, at, swapped, np.float32))
@@ -203,7 +209,7 @@ def _number(data: NDArray[np.uint8], at: int, kind: int, swapped: bool) -> float
     return np.float64(_integer(data, at, kind, swapped))
 
 
-@inline
+@leaf
 def _integer(data: NDArray[np.uint8], at: int, kind: int, swapped: bool) -> int:
     if kind == _INT8:
         return int(load(data, at, swapped, np.int8))

@@ -1,10 +1,12 @@
 """Raw messages and decoded columns: the two shapes in which data enter fuselog."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
+
+from fuselog.schemas.shown import Shown, clock
 
 
 class Fault(IntEnum):
@@ -47,6 +49,17 @@ class Messages:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Ragged:
+    """n lists in one: message i holds ``values[offsets[i] : offsets[i + 1]]``, in the type of the schema."""
+
+    values: NDArray[np.generic] | list[str]  # (total,)
+    offsets: NDArray[np.int64]  # (n + 1,)
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Columns:
     """n messages of one channel as columns: ``values[:, k]`` holds the field ``paths[k]``.
 
@@ -58,6 +71,7 @@ class Columns:
     paths: tuple[str, ...]  # (width,)
     fault: NDArray[np.uint8]  # (n,) of Fault
     texts: dict[str, list[str]]  # string fields that were asked for
+    lists: dict[str, Ragged] = field(default_factory=dict[str, Ragged])  # and those asked for as lists
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -65,3 +79,26 @@ class Columns:
     def __getitem__(self, path: str) -> NDArray[np.float64]:
         """The column ``path`` (n,), a view."""
         return self.values[:, self.paths.index(path)]
+
+    def __repr__(self) -> str:
+        return self._shown().text()
+
+    def _repr_html_(self) -> str:
+        return self._shown().html()
+
+    def _shown(self) -> Shown:
+        n = len(self)
+        when = f", from {clock(int(self.t_ns[0]))} to {clock(int(self.t_ns[-1]))}" if n else ""
+        faults = int(np.count_nonzero(self.fault))
+        bad = f", {faults} of them not decodable" if faults else ""
+        ends = [0, -1] if n else []
+        rows = [[path, *(f"{self.values[i, k]:.6g}" for i in ends)] for k, path in enumerate(self.paths)]
+        rows += [[path, *(texts[i] for i in ends)] for path, texts in self.texts.items()]
+        rows += [[path, f"{len(lists.values)} in lists", ""] for path, lists in self.lists.items()]
+        head = ["column", "first", "last"]
+        return Shown(f"Columns: {n} messages{bad}{when}", head, [row + [""] * (3 - len(row)) for row in rows])
+
+
+def empty_rows(n: int, width: int) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.uint8]]:
+    """Unwritten ``t_ns``, ``values`` and ``fault`` of `Columns`."""
+    return np.empty(n, np.int64), np.empty((n, width)), np.empty(n, np.uint8)

@@ -6,7 +6,9 @@ from typing import Final
 import numpy as np
 
 from fuselog.schemas.machine import (
+    BEGIN,
     COUNT_ELEMENTS,
+    END,
     ITEMS,
     JUMP,
     LOAD,
@@ -27,10 +29,11 @@ _TO_THE_END: Final = 2**62
 
 @dataclass(slots=True)
 class Want:
-    """What is wanted of one node: its column, its share of the stamp, and the same of what it holds."""
+    """What is wanted of one node: its column, its share of the stamp, its bytes, and the same of what it holds."""
 
     column: int = -1
     stamp_scale: int = 0
+    span: int = -1  # the text that takes the bytes of the whole node
     below: "dict[str | int, Want]" = field(default_factory=lambda: {})
 
     def at(self, path: Path) -> "Want":
@@ -60,6 +63,13 @@ class _Assembler:
         self._depth = 0
 
     def node(self, node: Node, want: Want) -> None:
+        if want.span >= 0:
+            self._put(BEGIN, first_size(node), want.span)
+        self._node(node, want)
+        if want.span >= 0:
+            self._put(END, want.span)
+
+    def _node(self, node: Node, want: Want) -> None:
         match node:
             case Number(kind):
                 self._number(KINDS[kind], want)
@@ -155,3 +165,12 @@ def _count_column(want: Want) -> int:
 
 def _elements_wanted(want: Want) -> list[tuple[int, Want]]:
     return sorted((index, below) for index, below in want.below.items() if isinstance(index, int) and index >= 0)
+
+
+def first_size(node: Node) -> int:
+    """The size, which is the alignment, of what a number, a fixed array of them, or a sequence begins with."""
+    match node:
+        case Number(kind) | Array(Number(kind), int()):
+            return 1 << (KINDS[kind] >> 2)
+        case _:
+            return 4

@@ -4,6 +4,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
+import numpy as np
+
 KINDS: Final = {
     "bool": 3,
     "byte": 0,
@@ -20,6 +22,15 @@ KINDS: Final = {
     "float64": 14,
 }
 """Primitive types by name; the code is 4 log2(size in bytes) + (0 unsigned, 1 signed, 2 float, 3 bool)."""
+
+
+_LETTERS: Final = "uifb"  # numpy's, by the lowest two bits of a kind
+
+
+def dtype_of(kind: str) -> "np.dtype[np.generic]":
+    """The numpy type of a primitive, in the byte order of this machine."""
+    code = KINDS[kind]
+    return np.dtype(f"{_LETTERS[code % 4]}{1 << code // 4}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ COMMANDS = (
     "simulate",
     "check",
     "info",
+    "export",
     "reprocess",
     "play",
     "serve",
