@@ -26,6 +26,10 @@ class Chunk:
     index_end: int  # its message index lies in [end, index_end)
     bare: bool = False
 
+    def meets(self, start: int | None, end: int | None) -> bool:
+        """Whether it may hold log times from ``start`` up to but without ``end``; None is no bound."""
+        return (start is None or self.finish_ns >= start) and (end is None or self.start_ns < end)
+
 
 @dataclass(frozen=True, slots=True)
 class ChunkHeader:

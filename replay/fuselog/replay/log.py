@@ -99,16 +99,24 @@ class Log:
             found[record.name] = record.metadata
         return found
 
-    def batches(self, topics: Collection[str] | None = None) -> Iterator[Messages]:
+    def batches(
+        self, topics: Collection[str] | None = None, *, start: int | None = None, end: int | None = None
+    ) -> Iterator[Messages]:
         """All messages of ``topics`` (all when None; absent ones give nothing), a chunk at a time.
 
-        ``stream`` is the channel number. Payloads lie in the decompressed chunk, or in the file itself.
-        Memory is bounded by a chunk and those that overlap it in time.
+        ``start`` and ``end`` choose log times (ns), from the one up to but without the other; only chunks that may
+        hold such are read. ``stream`` is the channel number. Payloads lie in the decompressed chunk, or in the file
+        itself. Memory is bounded by a chunk and those that overlap it in time.
         """
         chosen = {id for id, c in self.channels.items() if topics is None or c.topic in topics}
         reading = Reading(self._opener, self._losses, chosen)
-        chunks = [chunk for chunk in self._contents.chunks if reading.wants(chunk)]
-        yield from in_time_order(chunks, reading.load)
+        chunks = [chunk for chunk in self._contents.chunks if reading.wants(chunk) and chunk.meets(start, end)]
+        for batch in in_time_order(chunks, reading.load):
+            part = batch if start is None and end is None else _between(batch, start, end)
+            if len(part):
+                yield part
+        if start is not None or end is not None:
+            return
         if topics is None:
             reading.note_undeclared()
         counts = self._contents.message_counts()
@@ -150,6 +158,13 @@ def open_log(path: str | PathLike[str], *, limits: Limits | None = None, check_c
     """
     name = os.fspath(path)
     return Log(name, _map(name), limits or Limits(), check_crc=check_crc)
+
+
+def _between(batch: Messages, start: int | None, end: int | None) -> Messages:
+    """The messages of a batch in time order whose log time is in [start, end)."""
+    first = 0 if start is None else int(np.searchsorted(batch.log_time, start))
+    last = len(batch) if end is None else int(np.searchsorted(batch.log_time, end))
+    return batch.take(slice(first, max(first, last)))
 
 
 def _map(path: str) -> NDArray[np.uint8]:

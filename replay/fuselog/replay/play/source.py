@@ -1,0 +1,91 @@
+"""Where a player takes its messages from: a log that can be begun at any time, or several of them as one."""
+
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
+from heapq import merge
+from typing import Protocol
+
+import numpy as np
+
+from fuselog.replay.ahead import ahead
+from fuselog.replay.channels import Channel
+from fuselog.replay.log import Log
+from fuselog.replay.play.latched import latched_before
+from fuselog.replay.play.played import Played, each
+from fuselog.schemas.messages import Messages
+
+_AHEAD = 2  # chunks that are read before they are due
+
+
+class Source(Protocol):
+    """Messages in the order in which they are played; times are ns of that order."""
+
+    @property
+    def first(self) -> int:
+        """Where it begins."""
+        ...
+
+    @property
+    def last(self) -> int:
+        """Where its last message lies."""
+        ...
+
+    def begin(self, start: int, end: int | None) -> Generator[Played]:
+        """The messages from ``start`` up to but without ``end``; close it before the next is begun."""
+        ...
+
+    def latched(self, t_ns: int) -> list[Played]:
+        """What was said before ``t_ns`` and holds then; not while another reading is begun."""
+        ...
+
+
+class LogSource:
+    """Channels of a log by log time, ties as they lie in the file; begun anywhere, it reads what comes from there."""
+
+    def __init__(self, log: Log, channels: Sequence[Channel]) -> None:
+        self._log = log
+        self._channels = {channel.id: channel for channel in channels}
+        self.first, self.last = log.time_range or (0, 0)
+
+    def begin(self, start: int, end: int | None) -> Generator[Played]:
+        """See ``Source``. A reading of all of the log compares counts with what the log says, see ``Log.losses``."""
+        with closing(
+            ahead(chosen(self._log, self._channels, None if start <= self.first else start, end), _AHEAD)
+        ) as batches:
+            for batch in batches:
+                yield from each(batch, self._channels)
+
+    def latched(self, t_ns: int) -> list[Played]:
+        """See ``Source``."""
+        return latched_before(self._log, list(self._channels.values()), t_ns)
+
+
+def chosen(log: Log, channels: dict[int, Channel], start: int | None, end: int | None) -> Iterator[Messages]:
+    """Batches of the channels alone: a topic may have others besides."""
+    ids = np.array(list(channels), np.int32)
+    for batch in log.batches({channel.topic for channel in channels.values()}, start=start, end=end):
+        mine = np.flatnonzero(np.isin(batch.stream, ids))
+        yield batch if len(mine) == len(batch) else batch.take(mine)
+
+
+class MergedSource:
+    """Several sources as one, by time; ties in the order of the sources."""
+
+    def __init__(self, sources: Sequence[Source]) -> None:
+        self._sources = sources
+        self.first = min(source.first for source in sources)
+        self.last = max(source.last for source in sources)
+
+    def begin(self, start: int, end: int | None) -> Generator[Played]:
+        """See ``Source``."""
+        readings = [source.begin(start, end) for source in self._sources]
+        try:
+            yield from merge(*readings, key=lambda played: played.t_ns)
+        finally:
+            for reading in readings:
+                reading.close()
+
+    def latched(self, t_ns: int) -> list[Played]:
+        """See ``Source``."""
+        found = [played for source in self._sources for played in source.latched(t_ns)]
+        return sorted(found, key=lambda played: played.t_ns)
