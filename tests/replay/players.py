@@ -31,6 +31,7 @@ class Listed:
     def __init__(self, times: Sequence[int], latched: Sequence[int] = ()) -> None:
         self.messages = [Played(t, CHANNEL, str(i).encode(), t) for i, t in enumerate(times)]
         self.first, self.last = (times[0], times[-1]) if times else (0, 0)
+        self.by_log_time: dict[str, int] = {}
         self._latched = latched
         self.open = 0
 

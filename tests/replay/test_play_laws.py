@@ -1,6 +1,7 @@
 """Whatever is commanded: the exact order, nothing lost and nothing twice between two seeks, nothing early."""
 
 from bisect import bisect_left
+from itertools import pairwise
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -125,7 +126,7 @@ def test_a_consumer_of_any_slowness(times: list[int], waits: list[int], rate: fl
         left.append((time.now, played.t_ns))
         time.now += wait
     assert [t for _, t in left] == times
-    for (then, a), (now, b) in zip(left, left[1:], strict=False):
+    for (then, a), (now, b) in pairwise(left):
         assert now - then >= (b - a) / rate - 50_000_000 - 1
     lateness = left[-1][0] - left[0][0] - (times[-1] - times[0]) / rate
     assert -1 <= lateness - play.timeline.slipped_ns <= 50_000_001

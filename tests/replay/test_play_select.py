@@ -34,7 +34,7 @@ def log(tmp_path: Path) -> Path:
 def test_which_topics(log: Path, options: dict[str, str], expected: list[str]) -> None:
     """Chosen and left out, by name and by pattern; results of an earlier run are never played."""
     with open_log(log) as opened:
-        assert [channel.topic for channel in playable(opened, **options)] == expected
+        assert [channel.topic for channel in playable([opened], **options)[0]] == expected
 
 
 @pytest.mark.parametrize(
@@ -49,13 +49,13 @@ def test_which_topics(log: Path, options: dict[str, str], expected: list[str]) -
 def test_topics_that_are_not_there(log: Path, options: dict[str, str], kind: type[Exception], message: str) -> None:
     """The error names those that are."""
     with open_log(log) as opened, pytest.raises(kind, match=message):
-        playable(opened, **options)
+        playable([opened], **options)
 
 
 def test_other_names(log: Path) -> None:
     """Names can be given, also in exchange; never one name to two."""
     with open_log(log) as opened:
-        channels = playable(opened)
+        (channels,) = playable([opened])
     assert remap(channels, ["/left/image:=/a"]) == {
         "/left/image": "/a",
         "/right/image": "/right/image",

@@ -47,8 +47,8 @@ def test_begun_anywhere(
     start, stop = round((10 + begin) * S), round((10 + end) * S)
     with open_log(path) as log:
         for times, source in (
-            (offsets, LogSource(log, playable(log))),
-            (publish, StampedSource(log, playable(log), publish_times)),
+            (offsets, LogSource(log, *playable([log]))),
+            (publish, StampedSource(log, *playable([log]), publish_times)),
         ):
             order = sorted(range(len(times)), key=lambda i: round((10 + times[i]) * S))
             expected = [i for i in order if start <= round((10 + times[i]) * S)]
@@ -65,7 +65,7 @@ def test_shared_logs(shared: Path, oracle: Callable[[Path], list[tuple[int, int,
     """A real log from its middle on, against another reader."""
     path = shared / "logs" / "rl_test1_husky.mcap"
     with open_log(path) as log:
-        channels = playable(log)
+        (channels,) = playable([log])
         source = LogSource(log, channels)
         middle = (source.first + source.last) // 2
         ids = {channel.id for channel in channels}
@@ -86,7 +86,7 @@ def test_header_order(tmp_path: Path) -> None:
     ]
     path = write_log(tmp_path / "log.mcap", topics, chunk_bytes=2000)
     with open_log(path) as log:
-        channels = playable(log)
+        (channels,) = playable([log])
         source = StampedSource(log, channels, header_stamps(channels))
         played = list(source.begin(source.first, None))
     assert source.by_log_time == {"/boot": 20, "/none": 20, "/tf_static": 1}
@@ -102,7 +102,7 @@ def test_several_logs_as_one(tmp_path: Path) -> None:
     one = write(tmp_path / "one.mcap", [("/a", 0), ("/a", 1), ("/a", 2)])
     two = write(tmp_path / "two.mcap", [("/a", 1), ("/b", 1.5), ("/a", 3)])
     with open_log(two) as second, open_log(one) as first:
-        source = MergedSource([LogSource(second, playable(second)), LogSource(first, playable(first))])
+        source = MergedSource([LogSource(second, *playable([second])), LogSource(first, *playable([first]))])
         assert (source.first, source.last) == (10 * S, 13 * S)
         assert numbers(list(source.begin(11 * S, 13 * S))) == [0, 1, 1, 2]
         assert numbers(list(source.begin(0, None))) == [0, 0, 1, 1, 2, 2]
@@ -111,7 +111,7 @@ def test_several_logs_as_one(tmp_path: Path) -> None:
 def sources(path: Path) -> list[Source]:
     """The log in log order and by publish times, which are the same."""
     log = open_log(path)
-    return [LogSource(log, playable(log)), StampedSource(log, playable(log), publish_times)]
+    return [LogSource(log, *playable([log])), StampedSource(log, *playable([log]), publish_times)]
 
 
 def test_latched_topics(tmp_path: Path) -> None:

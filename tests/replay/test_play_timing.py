@@ -1,5 +1,7 @@
 """When each message leaves, by a clock that the test moves: rates, pauses, jumps, loops, and slow consumers."""
 
+from itertools import pairwise
+
 import pytest
 
 from fuselog.replay.play import CommandError, Playback, Range, Timeline
@@ -198,7 +200,7 @@ def test_loops_do_not_drift() -> None:
         time.now = max(time.now, play.due() or 0) + S // 500
         played = play.take()
         began += [time.now] if played is not None and played.payload == b"0" else []
-    assert [(b - a) / S for a, b in zip(began, began[1:], strict=False)] == pytest.approx([2] * 49, abs=0.01)
+    assert [(b - a) / S for a, b in pairwise(began)] == pytest.approx([2] * 49, abs=0.01)
 
 
 def test_a_loop_without_messages_ends() -> None:

@@ -3,6 +3,7 @@
 from fuselog.replay.play.clock import CLOCK_TOPIC, clock_channel
 from fuselog.replay.play.drive import Drive
 from fuselog.replay.play.moment import parse_moment
+from fuselog.replay.play.order import Order, source_of
 from fuselog.replay.play.playback import Playback, Status
 from fuselog.replay.play.played import Played
 from fuselog.replay.play.select import playable, remap
@@ -16,6 +17,7 @@ __all__ = [
     "Drive",
     "LogSource",
     "MergedSource",
+    "Order",
     "Playback",
     "Played",
     "Range",
@@ -29,4 +31,5 @@ __all__ = [
     "playable",
     "publish_times",
     "remap",
+    "source_of",
 ]

@@ -1,4 +1,4 @@
-"""Which topics of a log are played, and under which names."""
+"""Which topics of logs are played, and under which names."""
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -11,44 +11,43 @@ from fuselog.schemas.errors import LogError
 
 
 def playable(
-    log: Log,
+    logs: Sequence[Log],
     *,
     topics: Collection[str] = (),
     regex: str | None = None,
     exclude: Collection[str] = (),
     exclude_regex: str | None = None,
-) -> list[Channel]:
-    """The channels that a player publishes: inputs that ``topics`` or ``regex`` choose, all when there is neither,
-    without what ``exclude`` or ``exclude_regex`` name. A pattern matches whole names.
+) -> list[list[Channel]]:
+    """Of each log the channels that a player publishes: inputs that ``topics`` or ``regex`` choose, all when there is
+    neither, without what ``exclude`` or ``exclude_regex`` name. A pattern matches whole names.
 
-    Results of an earlier run are never among them. Raises ``LogError`` for a topic that the log does not have, and for
-    a pattern that chooses none, ``CommandError`` for one that is none.
+    Results of an earlier run are never among them. Raises ``LogError`` for a topic that no log has, and for a pattern
+    that chooses none, ``CommandError`` for one that is none.
     """
+    known = dict.fromkeys(topic for log in logs for topic in log.topics)
     for topic in (*topics, *exclude):
-        if topic not in log.topics:
-            raise LogError(log.path, 0, f"no topic {topic!r}; it has {', '.join(log.topics) or 'none'}")
-    wanted = set(topics) | _matching(log, regex)
-    unwanted = set(exclude) | _matching(log, exclude_regex)
-    return [
-        channel
-        for channel in log.channels.values()
-        if not is_output(channel)
-        and channel.topic not in unwanted
-        and (channel.topic in wanted or (not topics and regex is None))
-    ]
+        if topic not in known:
+            raise _unknown(logs, f"no topic {topic!r}", known)
+    wanted = {*topics, *_matching(logs, regex, known)} if topics or regex is not None else set(known)
+    wanted -= {*exclude, *_matching(logs, exclude_regex, known)}
+    return [[c for c in log.channels.values() if c.topic in wanted and not is_output(c)] for log in logs]
 
 
-def _matching(log: Log, regex: str | None) -> set[str]:
+def _matching(logs: Sequence[Log], regex: str | None, known: Collection[str]) -> set[str]:
     if regex is None:
         return set()
     try:
         pattern = re.compile(regex)
     except re.error as error:
         raise CommandError(f"{regex!r} is no regular expression: {error}") from error
-    found = {topic for topic in log.topics if pattern.fullmatch(topic)}
+    found = {topic for topic in known if pattern.fullmatch(topic)}
     if not found:
-        raise LogError(log.path, 0, f"no topic matches {regex!r}; it has {', '.join(log.topics) or 'none'}")
+        raise _unknown(logs, f"no topic matches {regex!r}", known)
     return found
+
+
+def _unknown(logs: Sequence[Log], what: str, known: Collection[str]) -> LogError:
+    return LogError(logs[0].path, 0, f"{what}; it has {', '.join(known) or 'none'}")
 
 
 def remap(channels: Iterable[Channel], rules: Sequence[str]) -> Mapping[str, str]:

@@ -1,6 +1,7 @@
 """Where a player takes its messages from: a log that can be begun at any time, or several of them as one."""
 
-from collections.abc import Generator, Iterator, Sequence
+from collections import Counter
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from heapq import merge
 from typing import Protocol
@@ -19,6 +20,11 @@ _AHEAD = 2  # chunks that are read before they are due
 
 class Source(Protocol):
     """Messages in the order in which they are played; times are ns of that order."""
+
+    @property
+    def by_log_time(self) -> Mapping[str, int]:
+        """By topic: messages that lie by their log time, for they have no other."""
+        ...
 
     @property
     def first(self) -> int:
@@ -46,6 +52,7 @@ class LogSource:
         self._log = log
         self._channels = {channel.id: channel for channel in channels}
         self.first, self.last = log.time_range or (0, 0)
+        self.by_log_time: Mapping[str, int] = {}
 
     def begin(self, start: int, end: int | None) -> Generator[Played]:
         """See ``Source``. A reading of all of the log compares counts with what the log says, see ``Log.losses``."""
@@ -75,6 +82,7 @@ class MergedSource:
         self._sources = sources
         self.first = min(source.first for source in sources)
         self.last = max(source.last for source in sources)
+        self.by_log_time = dict(sum((Counter(source.by_log_time) for source in sources), Counter[str]()))
 
     def begin(self, start: int, end: int | None) -> Generator[Played]:
         """See ``Source``."""

@@ -1,7 +1,7 @@
 """A log in the order of publish times or of stamps: exact over the whole log, by an index made in one pass before."""
 
 from bisect import bisect_right
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 
 import numpy as np
@@ -74,8 +74,9 @@ class StampedSource:
         self._channels = {channel.id: channel for channel in channels}
         log_time, stream, wanted = self._index(times)
         own = (wanted <= 0) | (np.abs(wanted - log_time) > _FAR_NS)
-        of = [channel.topic for channel in channels for _ in range(np.count_nonzero(own & (stream == channel.id)))]
-        self.by_log_time = {topic: of.count(topic) for topic in dict.fromkeys(of)}
+        self.by_log_time = Counter[str]()
+        for id, count in zip(*np.unique(stream[own], return_counts=True), strict=True):
+            self.by_log_time[self._channels[int(id)].topic] += int(count)
         t_ns = np.where(own, log_time, wanted)
         self._order = np.argsort(t_ns, kind="stable")  # k-th to be played -> its number in the log
         self._t_ns = t_ns[self._order]
