@@ -1,6 +1,6 @@
 """Logs played in time: which messages, in which order, and when each is due. Knows no middleware."""
 
-from fuselog.replay.play.clock import CLOCK_TOPIC, clock_channel
+from fuselog.replay.play.clock import CLOCK_TOPIC, clock_channel, ticker
 from fuselog.replay.play.drive import Drive
 from fuselog.replay.play.moment import parse_moment
 from fuselog.replay.play.order import Order, source_of
@@ -9,7 +9,7 @@ from fuselog.replay.play.played import Played
 from fuselog.replay.play.select import playable, remap
 from fuselog.replay.play.source import LogSource, MergedSource, Source
 from fuselog.replay.play.stamped import StampedSource, header_stamps, publish_times
-from fuselog.replay.play.timeline import CommandError, Range, Timeline
+from fuselog.replay.play.timeline import CommandError, Range, Timeline, checked_rate
 
 __all__ = [
     "CLOCK_TOPIC",
@@ -25,6 +25,7 @@ __all__ = [
     "StampedSource",
     "Status",
     "Timeline",
+    "checked_rate",
     "clock_channel",
     "header_stamps",
     "parse_moment",
@@ -32,4 +33,5 @@ __all__ = [
     "publish_times",
     "remap",
     "source_of",
+    "ticker",
 ]

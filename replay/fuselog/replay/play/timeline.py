@@ -60,7 +60,7 @@ class Timeline:
         self.paused = paused
         self.rounds = 0  # of the loop that are over
         self.slipped_ns = 0  # how far it was moved back in all
-        self.rate = _checked(rate)
+        self.rate = checked_rate(rate)
         self._clock = clock
         self._delay_ns = delay_ns
         self._steps = 0  # messages that may leave while paused
@@ -116,9 +116,16 @@ class Timeline:
             self.paused, self._steps = False, 0
             self._set(self._t_ns, self._clock())
 
+    def toggle(self) -> None:
+        """Pause, or go on."""
+        if self.paused:
+            self.resume()
+        else:
+            self.pause()
+
     def set_rate(self, rate: float | None) -> None:
         """Go on at another speed from here; None as fast as the consumer takes it. Raises ``CommandError``."""
-        rate = _checked(rate)
+        rate = checked_rate(rate)
         self._set(self.position, max(self.since, self._clock()))
         self.rate = rate
 
@@ -143,8 +150,8 @@ class Timeline:
         self._limit = t_ns  # of the position: the next message, and this until it is known
 
 
-def _checked(rate: float | None) -> float | None:
-    """The rate; 0 is None."""
+def checked_rate(rate: float | None) -> float | None:
+    """The rate, None for 0; raises ``CommandError`` for one that cannot be."""
     if not rate:
         return None
     if not SLOWEST <= rate <= FASTEST:
