@@ -27,7 +27,7 @@ _Kind = tuple[str, str, str]  # topic, encoding and schema name of messages that
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
-    """What was sent by topic, and what services have taken of it; empty where none answers."""
+    """What was sent by topic as it was named, and what services have taken of it; empty where none answers."""
 
     sent: dict[str, int]
     processed: dict[str, int]
@@ -49,13 +49,14 @@ class Player:
     def __init__(self, session: zenoh.Session, channels: Sequence[Channel], names: Mapping[str, str]) -> None:
         self._session = session
         self._source = secrets.token_bytes(16)
-        self._topics = {topic: key_of(names[topic]) for topic in dict.fromkeys(c.topic for c in channels)}
+        self._keys = {channel.topic: key_of(names[channel.topic]) for channel in channels}
+        self._names = names
         kinds = {_kind(channel): channel for channel in channels}
         streams: dict[str, list[Stream]] = {}
         for channel in kinds.values():
-            streams.setdefault(self._topics[channel.topic], []).append(stream_of(channel))
+            streams.setdefault(self._keys[channel.topic], []).append(stream_of(channel))
         tell(session, streams)
-        self._publishers = {kind: Publisher(session, self._topics[kind[0]], media_type(*kind[1:])) for kind in kinds}
+        self._publishers = {kind: Publisher(session, self._keys[kind[0]], media_type(*kind[1:])) for kind in kinds}
         self._numbers = dict.fromkeys(kinds, 0)
         self._answered = False  # whether a service has said that it is there
 
@@ -113,30 +114,30 @@ class Player:
             time.sleep(_POLL_S)
 
     def _taken(self, answers: Sequence[Received]) -> dict[str, int]:
-        """By topic: the samples that the slowest service has taken."""
+        """By name: the samples that the slowest service has taken."""
         counts: dict[str, int] = {}
         for answer in answers:
-            for topic, key in self._topics.items():
+            for topic, key in self._keys.items():
                 if key in answer.keys:
                     taken = answer.progress[key].received if key in answer.progress else 0
-                    counts[topic] = min(counts.get(topic, taken), taken)
+                    counts[self._names[topic]] = min(counts.get(self._names[topic], taken), taken)
         return counts
 
     def _wanted(self) -> set[str]:
         """The keys of ours that services say they subscribe to."""
         answers = ask_progress(self._session, self._source)
         self._answered = bool(answers)
-        return {key for answer in answers for key in answer.keys} & set(self._topics.values())
+        return {key for answer in answers for key in answer.keys} & set(self._keys.values())
 
     def _listened(self) -> set[str]:
         """The keys that somebody subscribes to."""
         return {publisher.key for publisher in self._publishers.values() if publisher.wanted}
 
     def _sent(self) -> dict[str, int]:
-        """By topic: the samples that have left."""
-        sent = dict.fromkeys(self._topics, 0)
+        """By name: the samples that have left."""
+        sent = dict.fromkeys((self._names[topic] for topic in self._keys), 0)
         for (topic, _, _), number in self._numbers.items():
-            sent[topic] += number
+            sent[self._names[topic]] += number
         return sent
 
     def _gone(self, heard_ns: int) -> str:

@@ -9,6 +9,7 @@ from fuselog.fusion.intake import same_topic
 from fuselog.replay import Channel
 from fuselog.replay.play import (
     CLOCK_TOPIC,
+    TICKS,
     CommandError,
     Drive,
     Playback,
@@ -58,7 +59,7 @@ def run(
 ) -> tuple[Report, Status]:
     """Play ``span`` of a source under ``names`` to whoever subscribes; raises ``TransportError`` when all leave."""
     if pace.clock_hz is not None:
-        channels, names = [*channels, clock_channel()], {**names, CLOCK_TOPIC: CLOCK_TOPIC}
+        channels, names = [*channels, clock_channel()], {**names, TICKS: CLOCK_TOPIC}
     with open_session(at, timeout_s=max(wait_s, 1.0)) as session, ExitStack() as stack:
         player = Player(session, channels, names)
         if not player.wait_for_subscriber(wait_s):

@@ -1,6 +1,6 @@
 """Logs played in time: which messages, in which order, and when each is due. Knows no middleware."""
 
-from fuselog.replay.play.clock import CLOCK_TOPIC, clock_channel, ticker
+from fuselog.replay.play.clock import CLOCK_TOPIC, TICKS, clock_channel, ticker
 from fuselog.replay.play.drive import Drive
 from fuselog.replay.play.moment import parse_moment
 from fuselog.replay.play.order import Order, source_of
@@ -13,6 +13,7 @@ from fuselog.replay.play.timeline import CommandError, Range, Timeline, checked_
 
 __all__ = [
     "CLOCK_TOPIC",
+    "TICKS",
     "CommandError",
     "Drive",
     "LogSource",

@@ -10,14 +10,15 @@ from fuselog.replay.play.timeline import CommandError
 from fuselog.schemas import CdrEncoder, definition
 
 CLOCK_TOPIC = "/clock"
+TICKS = "@clock"  # what the player calls it: a log may have a /clock as well, played under another name
 _TYPE = "rosgraph_msgs/msg/Clock"
 _SECONDS = range(0, 2**31)  # that the message can say
 _HIGHEST_HZ = 10_000
 
 
 def clock_channel() -> Channel:
-    """The channel of the player's own clock; its number is that of no channel of a log."""
-    return Channel(-1, CLOCK_TOPIC, Schema(_TYPE, "ros2msg", definition(_TYPE).encode()), "cdr", {}, None)
+    """The channel of the player's own clock, ``TICKS``; its number is that of no channel of a log."""
+    return Channel(-1, TICKS, Schema(_TYPE, "ros2msg", definition(_TYPE).encode()), "cdr", {}, None)
 
 
 def ticker(hz: float) -> tuple[Callable[[int], Played], int]:

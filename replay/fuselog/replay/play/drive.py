@@ -23,11 +23,12 @@ class Drive:
 
     def __init__(self, playback: Playback) -> None:
         self._playback = playback
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)
 
     def command(self, do: Callable[[Playback], _T]) -> _T:
         """Do something with the playback between two messages, and give back what it gives."""
-        with self._changed:
+        with self._lock:
             done = do(self._playback)
             self._changed.notify()
         return done
@@ -36,35 +37,25 @@ class Drive:
         """The messages until the playback is over."""
         try:
             while True:
-                with self._changed:
-                    if self._playback.over:
-                        return
-                    due = self._wait()
-                _sleep_until(due)
-                with self._changed:
-                    played = self._take()
+                with self._lock:
+                    due = self._playback.due()
+                    if due is None:
+                        if self._playback.over:
+                            return
+                        self._changed.wait()
+                        continue
+                    ahead = due - time.monotonic_ns()
+                    if ahead > _NEAR_NS:
+                        self._changed.wait((ahead - _NEAR_NS) / 1e9)
+                        continue
+                    played = self._playback.take() if ahead <= 0 else None
                 if played is not None:
                     yield played
+                elif ahead > 0:
+                    _sleep_until(due)
         finally:
-            with self._changed:
+            with self._lock:
                 self._playback.close()
-
-    def _wait(self) -> int:
-        """Until shortly before something is due, or a command has come; returns when to look again."""
-        due = self._playback.due()
-        if due is None:
-            self._changed.wait()
-            return 0
-        ahead = due - time.monotonic_ns() - _NEAR_NS
-        if ahead > 0:
-            self._changed.wait(ahead / 1e9)
-            return 0
-        return due
-
-    def _take(self) -> Played | None:
-        """What is due by now; None when it is not, after a command."""
-        due = None if self._playback.over else self._playback.due()
-        return self._playback.take() if due is not None and due <= time.monotonic_ns() else None
 
 
 def _sleep_until(due_ns: int) -> None:

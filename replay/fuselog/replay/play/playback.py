@@ -54,7 +54,9 @@ class Playback:
         return self._over
 
     def due(self) -> int | None:
-        """When to call ``take`` next, by the clock of the timeline; None while only a command can say."""
+        """When to call ``take`` next, by the clock of the timeline; None when it is over, or waits for a command."""
+        if self._stopped:
+            return None
         self._prepare()
         if self._at_once:
             return self.timeline.since
@@ -63,8 +65,7 @@ class Playback:
         return None if self.timeline.range.again is None else self.timeline.due(self.timeline.range.finish)
 
     def take(self) -> Played | None:
-        """What is due; None when that was the turn of a loop."""
-        self._prepare()
+        """What ``due`` spoke of; None when that was the turn of a loop."""
         if self._at_once:
             self.released += 1
             return self._at_once.popleft()
@@ -115,7 +116,7 @@ class Playback:
         if self._begin is not None:
             self._open(self._begin)
             self._begin = None
-        if not self._known and not self._at_once:
+        if not (self._known or self._at_once):
             self._head, self._known = next(self._reading[-1], None), True
 
     def _open(self, begin: int) -> None:

@@ -85,11 +85,13 @@ class Timeline:
 
     def release(self, t_ns: int, *, is_step: bool = True) -> None:
         """The next message leaves now; one that ``is_step`` uses up a step."""
-        due, now = self.due(t_ns), self._clock()  # the position stays here until the next message is known
+        self._limit = t_ns  # the position stays here until the next message is known
         if self.paused or self.rate is None:
             self._t_ns = max(self._t_ns, t_ns)
             self._steps -= is_step and self._steps > 0
-        elif due is not None and now - due > SLACK_NS:
+            return
+        due, now = self.due(t_ns), self._clock()
+        if due is not None and now - due > SLACK_NS:
             self.slipped_ns += now - due
             self._set(t_ns, now)
 
