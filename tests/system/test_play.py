@@ -16,8 +16,10 @@ from typing import Any
 import pytest
 import zenoh
 from tests.replay.players import S, write
+from typer.testing import CliRunner
 
 from fuselog.replay import open_log
+from fuselog.service.cli import make_app
 from fuselog.service.transport import Endpoints, open_session
 from fuselog.service.wire import read_tag
 

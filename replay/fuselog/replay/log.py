@@ -100,22 +100,22 @@ class Log:
         return found
 
     def batches(
-        self, topics: Collection[str] | None = None, *, start: int | None = None, end: int | None = None
+        self, topics: Collection[str] | None = None, *, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[Messages]:
         """All messages of ``topics`` (all when None; absent ones give nothing), a chunk at a time.
 
-        ``start`` and ``end`` choose log times (ns), from the one up to but without the other; only chunks that may
+        ``start_ns`` and ``end_ns`` choose log times, from the one up to but without the other; only chunks that may
         hold such are read. ``stream`` is the channel number. Payloads lie in the decompressed chunk, or in the file
         itself. Memory is bounded by a chunk and those that overlap it in time.
         """
         chosen = {id for id, c in self.channels.items() if topics is None or c.topic in topics}
         reading = Reading(self._opener, self._losses, chosen)
-        chunks = [chunk for chunk in self._contents.chunks if reading.wants(chunk) and chunk.meets(start, end)]
+        chunks = [chunk for chunk in self._contents.chunks if reading.wants(chunk) and chunk.meets(start_ns, end_ns)]
         for batch in in_time_order(chunks, reading.load):
-            part = batch if start is None and end is None else _between(batch, start, end)
+            part = batch if start_ns is None and end_ns is None else _between(batch, start_ns, end_ns)
             if len(part):
                 yield part
-        if start is not None or end is not None:
+        if start_ns is not None or end_ns is not None:
             return
         if topics is None:
             reading.note_undeclared()

@@ -66,7 +66,7 @@ def latched_before(log: Log, channels: Sequence[Channel], t_ns: int) -> list[Pla
 
 def _last_of_batches(log: Log, wanted: Mapping[int, Channel], start: int, end: int) -> Iterator[Played]:
     """Of each batch, the last message of each channel, and all static transforms."""
-    for batch in log.batches({channel.topic for channel in wanted.values()}, start=start, end=end):
+    for batch in log.batches({channel.topic for channel in wanted.values()}, start_ns=start, end_ns=end):
         rows: list[int] = []
         for id, channel in wanted.items():
             mine = np.flatnonzero(batch.stream == id).tolist()

@@ -70,7 +70,7 @@ class LogSource:
 def chosen(log: Log, channels: dict[int, Channel], start: int | None, end: int | None) -> Iterator[Messages]:
     """Batches of the channels alone: a topic may have others besides."""
     ids = np.array(list(channels), np.int32)
-    for batch in log.batches({channel.topic for channel in channels.values()}, start=start, end=end):
+    for batch in log.batches({channel.topic for channel in channels.values()}, start_ns=start, end_ns=end):
         mine = np.flatnonzero(np.isin(batch.stream, ids))
         yield batch if len(mine) == len(batch) else batch.take(mine)
 
