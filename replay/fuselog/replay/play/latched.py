@@ -45,12 +45,12 @@ def _list(found: Any) -> list[Any]:
 
 
 def latched_before(log: Log, channels: Sequence[Channel], t_ns: int) -> list[Played]:
-    """What holds at log time ``t_ns``: the newest earlier message of each latched channel, in log order.
+    """What holds at log time ``t_ns``: the newest earlier message of each of these latched channels, in log order.
 
     Of static transforms, the newest message for each set of child frames, for several nodes publish on the one topic.
     It looks back in growing spans, no further than it must.
     """
-    wanted = {channel.id: channel for channel in channels if is_latched(channel)}
+    wanted = {channel.id: channel for channel in channels}
     first = (log.time_range or (t_ns, t_ns))[0]
     spans: list[list[Played]] = []
     end, span = t_ns, _FIRST_LOOK_NS

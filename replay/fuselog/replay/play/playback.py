@@ -88,7 +88,8 @@ class Playback:
         self._stopped = True
 
     def close(self) -> None:
-        """Let go of the source."""
+        """Let go of the source: it is over."""
+        self._stopped = True
         self._close()
 
     def status(self) -> Status:
@@ -116,7 +117,7 @@ class Playback:
         if self._begin is not None:
             self._open(self._begin)
             self._begin = None
-        if not (self._known or self._at_once):
+        elif not self._known and not self._at_once:
             self._head, self._known = next(self._reading[-1], None), True
 
     def _open(self, begin: int) -> None:
@@ -128,6 +129,9 @@ class Playback:
             tick, step_ns = self._ticker
             self._at_once.appendleft(tick(begin))
             self._reading.append(with_ticks(self._reading[-1], tick, step_ns, first=span.first, begin=begin))
+        self._head, self._known = next(self._reading[-1], None), True
+        if not self._idle_round:
+            self.timeline.restart()
 
     def _turn(self) -> None:
         self._begin = self.timeline.turn()

@@ -19,18 +19,16 @@ class Played(NamedTuple):
     is_tick: bool = False  # made by the player: says what time it is, and is no step of the log
 
 
-def each(messages: Messages, channels: Mapping[int, Channel], t_ns: list[int] | None = None) -> Iterator[Played]:
-    """The messages one by one, with bytes of their own; ``t_ns`` (n,) is their log time when None."""
+def each(messages: Messages, channels: Mapping[int, Channel]) -> Iterator[Played]:
+    """The messages one by one by their log times, with bytes of their own."""
     data = messages.data.data
     for first in range(0, len(messages), _TOGETHER):
         some = slice(first, first + _TOGETHER)
-        log_times = messages.log_time[some].tolist()
-        for t, log_time, stream, start, length in zip(
-            log_times if t_ns is None else t_ns[some],
-            log_times,
+        for log_time, stream, start, length in zip(
+            messages.log_time[some].tolist(),
             messages.stream[some].tolist(),
             messages.start[some].tolist(),
             messages.length[some].tolist(),
             strict=True,
         ):
-            yield Played(t, channels[stream], bytes(data[start : start + length]), log_time)
+            yield Played(log_time, channels[stream], bytes(data[start : start + length]), log_time)

@@ -11,11 +11,11 @@ import numpy as np
 from fuselog.replay.ahead import ahead
 from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log
-from fuselog.replay.play.latched import latched_before
+from fuselog.replay.play.latched import is_latched, latched_before
 from fuselog.replay.play.played import Played, each
 from fuselog.schemas.messages import Messages
 
-_AHEAD = 2  # chunks that are read before they are due
+AHEAD = 2  # chunks that are read before they are due
 
 
 class Source(Protocol):
@@ -51,20 +51,21 @@ class LogSource:
     def __init__(self, log: Log, channels: Sequence[Channel]) -> None:
         self._log = log
         self._channels = {channel.id: channel for channel in channels}
+        self._latched = [channel for channel in channels if is_latched(channel)]
         self.first, self.last = log.time_range or (0, 0)
         self.by_log_time: Mapping[str, int] = {}
 
     def begin(self, start: int, end: int | None) -> Generator[Played]:
         """See ``Source``. A reading of all of the log compares counts with what the log says, see ``Log.losses``."""
         with closing(
-            ahead(chosen(self._log, self._channels, None if start <= self.first else start, end), _AHEAD)
+            ahead(chosen(self._log, self._channels, None if start <= self.first else start, end), AHEAD)
         ) as batches:
             for batch in batches:
                 yield from each(batch, self._channels)
 
     def latched(self, t_ns: int) -> list[Played]:
         """See ``Source``."""
-        return latched_before(self._log, list(self._channels.values()), t_ns)
+        return latched_before(self._log, self._latched, t_ns)
 
 
 def chosen(log: Log, channels: dict[int, Channel], start: int | None, end: int | None) -> Iterator[Messages]:

@@ -3,15 +3,17 @@
 from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fuselog.replay.ahead import ahead
 from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log
 from fuselog.replay.play.latched import is_latched, is_static, newest
-from fuselog.replay.play.played import Played, each
-from fuselog.replay.play.source import chosen
+from fuselog.replay.play.played import Played
+from fuselog.replay.play.source import AHEAD, chosen
 from fuselog.schemas import Codec, Fault, Messages, SchemaError, compile_codec, stamp_path
 
 Ints = NDArray[np.int64]
@@ -72,6 +74,7 @@ class StampedSource:
     def __init__(self, log: Log, channels: Sequence[Channel], times: Times) -> None:
         self._log = log
         self._channels = {channel.id: channel for channel in channels}
+        self._latched = [channel for channel in channels if is_latched(channel)]
         log_time, stream, wanted = self._index(times)
         own = (wanted <= 0) | (np.abs(wanted - log_time) > _FAR_NS)
         self.by_log_time = Counter[str]()
@@ -91,30 +94,27 @@ class StampedSource:
         stop = len(self._t_ns) if end is None else int(np.searchsorted(self._t_ns, end))
         if k >= stop:
             return
-        reading = self._read(int(self._lowest[k]))
+        order = (self._order[k:stop].tolist(), self._t_ns[k:stop].tolist(), self._lowest[k:stop].tolist())
         held: deque[tuple[int, Messages]] = deque()
         reach = 0
-        for n, t_ns, lowest in zip(
-            self._order[k:stop].tolist(), self._t_ns[k:stop].tolist(), self._lowest[k:stop].tolist(), strict=True
-        ):
-            while held and held[0][0] + len(held[0][1]) <= lowest:
-                held.popleft()
-            while reach <= n:
-                base, batch = next(reading)
-                held.append((base, batch))
-                reach = base + len(batch)
-            base, batch = held[bisect_right(held, n, key=lambda part: part[0]) - 1]
-            yield self._one(batch, n - base, t_ns)
+        with closing(ahead(self._read(int(self._lowest[k])), AHEAD)) as reading:
+            for n, t_ns, lowest in zip(*order, strict=True):
+                while held and held[0][0] + len(held[0][1]) <= lowest:
+                    held.popleft()
+                while reach <= n:
+                    held.append(next(reading))
+                    reach = held[-1][0] + len(held[-1][1])
+                base, batch = held[bisect_right(held, n, key=lambda part: part[0]) - 1]
+                yield self._one(batch, n - base, t_ns)
 
     def latched(self, t_ns: int) -> list[Played]:
         """See ``Source``."""
         before = int(np.searchsorted(self._t_ns, t_ns))
         stream = self._stream[self._order[:before]]
         rows: list[int] = []
-        for id, channel in self._channels.items():
-            if is_latched(channel):
-                mine = np.flatnonzero(stream == id).tolist()
-                rows += mine if is_static(channel) else mine[-1:]
+        for channel in self._latched:
+            mine = np.flatnonzero(stream == channel.id).tolist()
+            rows += mine if is_static(channel) else mine[-1:]
         return newest([self._fetch(k) for k in sorted(rows)])
 
     def _index(self, times: Times) -> tuple[Ints, NDArray[np.int32], Ints]:
@@ -139,4 +139,6 @@ class StampedSource:
         return self._one(batch, n - base, int(self._t_ns[k]))
 
     def _one(self, batch: Messages, row: int, t_ns: int) -> Played:
-        return next(each(batch.take(slice(row, row + 1)), self._channels, [t_ns]))
+        start = int(batch.start[row])
+        payload = bytes(batch.data.data[start : start + int(batch.length[row])])
+        return Played(t_ns, self._channels[int(batch.stream[row])], payload, int(batch.log_time[row]))

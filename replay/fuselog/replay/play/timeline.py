@@ -95,6 +95,10 @@ class Timeline:
             self.slipped_ns += now - due
             self._set(t_ns, now)
 
+    def restart(self) -> None:
+        """What is to be played from here is ready only now: opening a log is no lateness."""
+        self.since = max(self.since, self._clock())
+
     def turn(self) -> int | None:
         """Go back to the start of the loop, its end being due; returns where that is, None without a loop."""
         if self.range.again is None:
