@@ -1,5 +1,6 @@
 """A run of the player from its parts: a source, a session, a timeline, and who commands it."""
 
+import gc
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -72,6 +73,7 @@ def run(
         if commands.name is not None:
             stack.callback(control(session, commands.name, drive))
         stack.enter_context(panel(drive, keys=commands.keys))
+        gc.freeze()  # walking all that is loaded would hold up messages for tens of ms
         return player.play(drive, first=span.first), playback.status()
 
 
