@@ -1,10 +1,11 @@
 """When each message leaves, by a clock that the test moves: rates, pauses, jumps, loops, and slow consumers."""
 
+from collections.abc import Generator
 from itertools import pairwise
 
 import pytest
 
-from fuselog.replay.play import CommandError, Playback, Range, Timeline
+from fuselog.replay.play import CommandError, Playback, Played, Range, Timeline
 
 from .players import Listed, S, Time, taken
 
@@ -245,6 +246,22 @@ def test_latched_at_every_beginning() -> None:
     play.seek(4 * S)
     assert taken(play, time) == [(5, "latched")]
     assert play.status().released == 9
+
+
+def test_opening_a_log_is_no_lateness() -> None:
+    """However long it takes to find the first message: it is due when it is there."""
+    time = Time()
+
+    class Slow(Listed):
+        def begin(self, start: int, end: int | None) -> Generator[Played]:
+            time.now += 3 * S
+            return super().begin(start, end)
+
+    play = playback(time, Slow([0, S, 2 * S]))
+    assert taken(play, time, until=4) == [(3, "0"), (4, "1")]
+    play.seek(S)
+    assert taken(play, time) == [(7, "1"), (8, "2")]
+    assert play.status().slipped_s == 0
 
 
 def test_one_reading_at_a_time() -> None:

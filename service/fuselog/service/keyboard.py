@@ -101,11 +101,18 @@ def _watch(drive: Drive, source: int | None, ending: int, show: Callable[[str], 
             say("")
             return
         if ready:
-            typed = os.read(ready[0], 64)
+            typed = _read(ready[0])
             if not typed:  # the terminal is gone
                 files = [ending]
             for key in split_keys(typed):
                 _follow(drive, key, say)
+
+
+def _read(file: int) -> bytes:
+    try:
+        return os.read(file, 64)
+    except OSError:
+        return b""
 
 
 def _follow(drive: Drive, key: str, say: Callable[[str], None]) -> None:

@@ -80,7 +80,7 @@ class Player:
         """
         started = looked = time.monotonic()
         expected = bool(self._listened())
-        heard = first  # where somebody certainly listened
+        heard = before = first  # somebody listened; the look before it, for what was sent since may not have arrived
         try:
             for played in messages:
                 kind = _kind(played.channel)
@@ -91,11 +91,11 @@ class Player:
                 if now - looked > _LOOK_EVERY_S:
                     looked = now
                     if expected and not self._listened():
-                        raise TransportError(self._gone(heard - first))
-                    heard = played.t_ns
-            processed = self._wait_for_services(heard - first) if expected else {}
+                        raise TransportError(self._gone(before - first))
+                    heard, before = played.t_ns, heard
+            processed = self._wait_for_services(before - first) if expected else {}
         except zenoh.ZError as error:
-            raise TransportError(self._gone(heard - first)) from error
+            raise TransportError(self._gone(before - first)) from error
         return Report(sent=self._sent(), processed=processed, seconds=time.monotonic() - started)
 
     def _wait_for_services(self, heard_ns: int) -> dict[str, int]:

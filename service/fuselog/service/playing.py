@@ -95,7 +95,7 @@ def range_of(
     end = _moment("until", until, source) if until is not None else None
     if duration_s is not None:
         end = begin + round(duration_s * 1e9)
-    again = begin if loop_from is None else _moment("from", loop_from, source)
+    again = begin if loop_from is None else max(_moment("from", loop_from, source), source.first)
     return Range(first=source.first, last=source.last, start=begin, end=end, again=again if loop else None)
 
 

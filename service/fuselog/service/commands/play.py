@@ -127,4 +127,4 @@ def _say(report: "Report", status: "Status", *, as_json: bool) -> None:
             stderr.print(f"lost: {topic}: {count} of {sent[topic]} messages were taken")
     typer.echo(f"{line}; services took {sum(processed.values())}" if processed else line)
     if status.slipped_s >= 0.1:
-        stderr.print(f"slowed by {status.slipped_s:.1f} s in all, for subscribers took the messages no faster")
+        stderr.print(f"slowed by {status.slipped_s:.1f} s in all: subscribers, the disk or the processor were busy")
