@@ -74,7 +74,7 @@ def measure(path: Path, rate: float | None, endpoint: str) -> tuple[np.ndarray, 
                     left.append((time.monotonic_ns(), played.t_ns, timeline.slipped_ns))
                     yield played
 
-            player.play(watched(), first=span.first)
+            player.play(watched(), span)
             listener.communicate(b"")
     instants, offsets, slipped = np.array(left).T
     before = np.append(0, slipped[:-1])  # a message that moves the timeline is late itself, those after it are not

@@ -166,7 +166,7 @@ def test_subscribers_leave(tmp_path: Path) -> None:
     """One line with the place to go on, exit 1; played from there, nothing is missing."""
     rows = [("/x", t / 100) for t in range(3000)]
     log = write(tmp_path / "log.mcap", rows, chunk_bytes=4096)
-    with playing(log) as (endpoint, process):
+    with playing(log, "--start", "2") as (endpoint, process):
         listener = Listener(endpoint, "x")
         while len(listener.samples) < 100:
             time.sleep(0.01)
@@ -181,9 +181,9 @@ def test_subscribers_leave(tmp_path: Path) -> None:
         process.communicate(timeout=20)
         again.session.close()
     first, second = [int(s[3]) for s in listener.samples], [int(s[3]) for s in again.samples]
-    assert first == list(range(len(first)))
+    assert first == list(range(200, 200 + len(first)))
     assert second == list(range(second[0], 3000))
-    assert 0 < second[0] <= len(first)
+    assert 200 <= second[0] <= 200 + len(first)
 
 
 def test_clock_remap_and_several_logs(tmp_path: Path) -> None:

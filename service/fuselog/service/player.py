@@ -9,7 +9,7 @@ import zenoh
 
 from fuselog.fusion import Stream
 from fuselog.replay import Channel
-from fuselog.replay.play import Played
+from fuselog.replay.play import Played, Range
 from fuselog.replay.reprocess import stream_of
 from fuselog.service.progress import Received, ask_progress
 from fuselog.service.streams import tell
@@ -73,14 +73,16 @@ class Player:
             time.sleep(_POLL_S)
         return bool(self._listened())
 
-    def play(self, messages: Iterable[Played], *, first: int) -> Report:
+    def play(self, messages: Iterable[Played], span: Range) -> Report:
         """Publish ``messages`` as they come, then wait for the services.
 
-        Raises ``TransportError`` when all listeners leave; it says where to go on, counted from ``first`` (ns).
+        Raises ``TransportError`` when all listeners leave; it says where in ``span`` to go on.
         """
         started = looked = time.monotonic()
         expected = bool(self._listened())
-        heard = before = first  # somebody listened; the look before it, for what was sent since may not have arrived
+        heard = before = (
+            span.start
+        )  # somebody listened; the look before it, for what was sent since may not have arrived
         try:
             for played in messages:
                 kind = _kind(played.channel)
@@ -91,11 +93,11 @@ class Player:
                 if now - looked > _LOOK_EVERY_S:
                     looked = now
                     if expected and not self._listened():
-                        raise TransportError(self._gone(before - first))
+                        raise TransportError(self._gone(before - span.first))
                     heard, before = played.t_ns, heard
-            processed = self._wait_for_services(before - first) if expected else {}
+            processed = self._wait_for_services(before - span.first) if expected else {}
         except zenoh.ZError as error:
-            raise TransportError(self._gone(before - first)) from error
+            raise TransportError(self._gone(before - span.first)) from error
         return Report(sent=self._sent(), processed=processed, seconds=time.monotonic() - started)
 
     def _wait_for_services(self, heard_ns: int) -> dict[str, int]:

@@ -74,7 +74,7 @@ def run(
             stack.callback(control(session, commands.name, drive))
         stack.enter_context(panel(drive, keys=commands.keys))
         gc.freeze()  # walking all that is loaded would hold up messages for tens of ms
-        return player.play(drive, first=span.first), playback.status()
+        return player.play(drive, span), playback.status()
 
 
 def range_of(
