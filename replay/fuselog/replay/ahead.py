@@ -1,7 +1,7 @@
 """An iterator run in a thread of its own, some items ahead of who takes them."""
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
@@ -15,7 +15,7 @@ class _End:
 _END = _End()
 
 
-def ahead(items: Iterable[_T], depth: int) -> Iterator[_T]:
+def ahead(items: Iterable[_T], depth: int) -> Generator[_T]:
     """The same items, or the exception that making one raised; at most ``depth`` are made and not taken."""
     source = iter(items)
     thread = ThreadPoolExecutor(1, "ahead")

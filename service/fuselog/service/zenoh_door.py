@@ -51,6 +51,29 @@ def answer(session: zenoh.Session, key: str, reply: Callable[[zenoh.Query], dict
     return session.declare_queryable(key, handle).undeclare
 
 
+class RefusedError(Exception):
+    """A query that is answered by an error, with its text."""
+
+    def __init__(self, text: bytes) -> None:
+        super().__init__(text.decode(errors="replace"))
+        self.text = text
+
+
+def obey(session: zenoh.Session, key: str, follow: Callable[[zenoh.Query], tuple[str, bytes]]) -> Callable[[], None]:
+    """Answer queries of ``key`` with one key and its JSON text, or with the text of a ``RefusedError`` as an error."""
+
+    def handle(query: zenoh.Query) -> None:
+        with query:
+            try:
+                of, text = follow(query)
+            except RefusedError as refusal:
+                query.reply_err(refusal.text, encoding="application/json")
+            else:
+                query.reply(of, text, encoding="application/json")
+
+    return session.declare_queryable(key, handle).undeclare
+
+
 def ask(session: zenoh.Session, selector: str, *, timeout_s: float) -> list[bytes]:
     """The texts that all who answer ``selector`` give."""
     replies = session.get(selector, target=zenoh.QueryTarget.ALL, timeout=timeout_s)
