@@ -124,6 +124,26 @@ def test_tum_and_kitti_are_what_plain_numpy_reads(log_path: Path, tmp_path: Path
     assert np.allclose(rotation @ v, turned, atol=1e-14)
 
 
+def test_poses_that_are_none_are_counted_and_stamps_sorted(tmp_path: Path) -> None:
+    quaternion = np.tile([0.0, 0.0, 0.0, 2.0], (4, 1))
+    quaternion[1] = 0
+    position = np.arange(12.0).reshape(4, 3)
+    position[2, 1] = np.nan
+    stamps = np.array([3, 2, 1, -1_500_000_000])
+    pose = {"pose.position": position, "pose.orientation": quaternion}
+    topic = Topic("/pose", "geometry_msgs/msg/PoseStamped", stamps, pose, arrival_ns=np.arange(4))
+    log = write_log(tmp_path / "a.mcap", [topic])
+    for name in ("tum", "kitti"):
+        result = export(log, "-o", tmp_path / f"a.{name}", "-f", name, "--json")
+        assert result.exit_code == 3
+        assert json.loads(result.stdout)["files"]["/pose"] == {"path": str(tmp_path / f"a.{name}"), "rows": 2, "bad": 2}
+    assert (tmp_path / "a.tum").read_text().splitlines() == [
+        "-1.500000000 9.0 10.0 11.0 0.0 0.0 0.0 2.0",
+        "0.000000003 0.0 1.0 2.0 0.0 0.0 0.0 2.0",
+    ]
+    assert np.loadtxt(tmp_path / "a.kitti").tolist()[1] == [1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 1, 2]
+
+
 def test_estimates_of_a_run_are_trajectories(tmp_path: Path) -> None:
     from fuselog.fusion import compile_plan, parse_config
     from fuselog.replay import reprocess_to

@@ -63,7 +63,7 @@ class _Growing:
         self._count = 0
         try:
             self._rows = empty_rows(expected, len(paths))
-        except (MemoryError, ValueError):  # a file may promise anything
+        except (MemoryError, OverflowError, ValueError):  # a file may promise anything
             self._rows = empty_rows(0, len(paths))
         self._texts: dict[str, list[str]] = {}
 

@@ -1,7 +1,7 @@
 """Poses of a topic over time, and the two text formats that tools for odometry read: TUM and KITTI."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -55,11 +55,14 @@ def read_trajectory(log: Log, topic: str) -> Trajectory:
         known = ", ".join([*POSES, ESTIMATE])
         raise LogError(log.path, 0, f"{topic} carries {kind or 'no type'}, which has no pose (types that do: {known})")
     columns = log.read(topic, POSES[kind])
-    numbers = columns.values
-    usable = (columns.fault == 0) & np.isfinite(numbers).all(axis=1) & (numbers[:, 3:] != 0).any(axis=1)
-    rows = np.flatnonzero(usable)
-    rows = rows[np.argsort(columns.t_ns[rows], kind="stable")]
-    return Trajectory(columns.t_ns[rows], numbers[rows, :3], numbers[rows, 3:], len(columns) - len(rows))
+    return _usable(columns.t_ns, columns.values, columns.fault == 0)
+
+
+def _usable(t_ns: NDArray[np.int64], poses: Floats, good: NDArray[np.bool_]) -> Trajectory:
+    """The ``good`` rows of ``poses`` (n, 7) that are poses, by stamp."""
+    rows = np.flatnonzero(good & np.isfinite(poses).all(axis=1) & (poses[:, 3:] != 0).any(axis=1))
+    rows = rows[np.argsort(t_ns[rows], kind="stable")]
+    return Trajectory(t_ns[rows], poses[rows, :3], poses[rows, 3:], len(t_ns) - len(rows))
 
 
 def _of_estimates(log: Log, topic: str) -> Trajectory:
@@ -72,15 +75,17 @@ def _of_estimates(log: Log, topic: str) -> Trajectory:
         raise LogError(log.path, 0, f"{topic} has the states {', '.join(states) or 'of no message'}: no position")
     if len(state.values) != n * good.sum() or states * int(good.sum()) != names.values.tolist():
         raise LogError(log.path, 0, f"{topic}: the states change")
-    x = state.values.reshape(-1, n)
     order = np.argsort(found["header.stamp"][good], kind="stable")
     t_ns = found["header.stamp"][good][order]
     last = np.append(t_ns[1:] != t_ns[:-1], True)
+    x = state.values.reshape(-1, n)[order][last]
     position, rpy = (
-        np.stack([_state(states, x[order][last], name) for name in names], axis=1)
+        np.stack([_state(states, x, name) for name in names], axis=1)
         for names in (("x", "y", "z"), ("roll", "pitch", "yaw"))
     )
-    return Trajectory(t_ns[last], position, quaternions_from_rpy(rpy), len(good) - int(good.sum()))
+    poses = np.concatenate([position, quaternions_from_rpy(rpy)], axis=1)
+    trajectory = _usable(t_ns[last], poses, np.ones(len(poses), np.bool_))
+    return replace(trajectory, bad=trajectory.bad + int(np.count_nonzero(~good)))
 
 
 def _state(states: Sequence[str], x: Floats, name: str) -> Floats:
