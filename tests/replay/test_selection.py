@@ -87,6 +87,18 @@ def test_damage_elsewhere_is_not_met(make_log: Callable) -> None:
         assert (loss.messages, loss.path) == (50, str(path))
 
 
+def test_a_chunk_that_tells_no_end_of_its_time_is_opened(make_log: Callable) -> None:
+    path = make_log(CHUNKS, summary=False, index=IndexType.NONE)
+    with open_log(path) as log:
+        places = [chunk.offset for chunk in log.parts[0]._contents.chunks]
+    content = bytearray(path.read_bytes())
+    for place in places:
+        content[place + 17 : place + 25] = bytes(8)
+    path.write_bytes(content)
+    with open_log(path) as log:
+        assert [tuple(m) for m in log.messages(start_ns=120, end_ns=330)] == [r for r in ROWS if 120 <= r[0] < 330]
+
+
 def test_a_topic_is_read_as_columns_of_a_stretch(shared: Path) -> None:
     with open_log(shared / "logs" / "rl_test1_husky.mcap") as log:
         whole = log.read("/fix", ["latitude"])
