@@ -16,6 +16,7 @@ from fuselog.replay.loss import Losses
 
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length 20, summary start, summary offset start, crc
+_LARGEST = 64 << 20  # bytes of a record that says something of the log; more are not looked at
 _NO_ROWS = np.empty((0, 5), np.int64)
 
 Block = tuple[NDArray[np.uint8], int, int]  # records lie in data[begin:end]
@@ -193,4 +194,6 @@ def _extents(rows: NDArray[np.int64], opcode: int) -> list[tuple[int, int]]:
 
 
 def _content(data: NDArray[np.uint8], row: NDArray[np.int64]) -> bytes:
+    if row[2] > _LARGEST:
+        raise ValueError(f"record of {row[2]} bytes, above the limit of {_LARGEST}")
     return data[int(row[1]) : int(row[1] + row[2])].tobytes()

@@ -1,8 +1,6 @@
 """A log as its reader sees it: channels, metadata, losses, and messages in log-time order."""
 
-import mmap
 import os
-import stat
 from collections.abc import Collection, Iterator, Sequence
 from os import PathLike
 from types import TracebackType
@@ -17,6 +15,7 @@ from fuselog.replay.columns import decode_topic
 from fuselog.replay.contents import MAGIC, survey
 from fuselog.replay.decompress import Limits
 from fuselog.replay.loss import Loss, Losses
+from fuselog.replay.mapped import map_file
 from fuselog.replay.merge import in_time_order
 from fuselog.replay.reading import ChunkOpener, Reading
 from fuselog.schemas.errors import LogError
@@ -154,16 +153,7 @@ def open_log(path: str | PathLike[str], *, limits: Limits | None = None, check_c
 
 def _map(path: str) -> NDArray[np.uint8]:
     """The bytes of the file, mapped; LogError if it is not a file that begins as an MCAP does."""
-    try:
-        with open(path, "rb") as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise LogError(path, 0, "not a file")
-            if os.fstat(file.fileno()).st_size == 0:
-                raise LogError(path, 0, "the file is empty")
-            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        raise LogError(path, 0, getattr(error, "strerror", None) or str(error)) from error
-    data = np.frombuffer(mapped, np.uint8)
+    data = map_file(path)
     if data[: len(MAGIC)].tobytes() != MAGIC:
         raise LogError(path, 0, "not an MCAP: it does not begin with the magic bytes")
     return data

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from fuselog.schemas.compiled import inline, kernel
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 5, 6, 7
-CHUNK_INDEX, STATISTICS, METADATA, METADATA_INDEX, DATA_END = 8, 11, 12, 13, 15
+CHUNK_INDEX, ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, DATA_END = 8, 9, 10, 11, 12, 13, 15
 FRAME = 9  # bytes of opcode and length before the content of a record
 MESSAGE_HEADER = 22  # bytes of channel, sequence and the two times before the payload
 DATA_END_SIZE, FOOTER_SIZE = 4, 20  # of their contents, which are never extended
