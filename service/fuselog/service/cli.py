@@ -1,7 +1,6 @@
 """The command line: one command a file in ``commands``; errors become one line and an exit code here, nowhere else."""
 
 import importlib
-import io
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
@@ -18,6 +17,7 @@ COMMANDS = (
     "simulate",
     "check",
     "info",
+    "doctor",
     "recover",
     "reprocess",
     "play",
@@ -51,8 +51,9 @@ def make_app() -> typer.Typer:
 
 def main() -> None:
     """Run the command line; exits 0 ok, 1 failed, 2 usage or config, 3 data loss, 4 differs, 130 interrupted."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be text
+    escape: Callable[..., None] | None = getattr(sys.stdout, "reconfigure", None)
+    if escape is not None:
+        escape(errors="backslashreplace")  # names of files need not be text
     try:
         make_app()()
     except ConfigError as error:
