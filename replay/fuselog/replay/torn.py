@@ -59,9 +59,11 @@ class TornChunks:
             header = parse_header(self._data, part.begin, part.end)
         except ValueError:
             return Opened(_NOTHING, whole_part)
+        cut = part.reason == CUT
+        if not (cut or self._trust or header.crc):
+            return Opened(_NOTHING, whole_part)
         packed = self._data[header.begin : min(header.end, part.end)]
         found = unpack_blocks(header.compression, packed.data, self._most_bytes(len(packed)))
-        cut = part.reason == CUT
         proven = found.whole and not cut and header.crc != 0 and zlib.crc32(found.data) == header.crc
         if not (proven or cut or self._trust):
             return Opened(_NOTHING, whole_part)

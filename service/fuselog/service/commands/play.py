@@ -1,13 +1,18 @@
 """``fuselog play``: a log onto Zenoh."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fuselog.service.console import print_json, progress, stderr
+from fuselog.service.limits import with_limits
+
+if TYPE_CHECKING:
+    from fuselog.replay.decompress import Limits
 
 
+@with_limits
 def play(
     log: Annotated[Path, typer.Argument(help="The MCAP log to play.")],
     config: Annotated[
@@ -28,6 +33,8 @@ def play(
         float, typer.Option("--wait-for-subscriber", min=0, help="Seconds to wait for a service; then play anyway.")
     ] = 10.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    *,
+    limits: "Limits",
 ) -> None:
     """Publish a log as it was recorded, and wait until services are done with it.
 
@@ -44,7 +51,7 @@ def play(
     if connect or listen or config is None:
         default = [] if listen else ["tcp/127.0.0.1:7447"]
         at = Endpoints(mode=mode, listen=listen or [], connect=connect or default)
-    with open_log(log) as opened:
+    with open_log(log, limits=limits) as opened:
         channels = playable(opened, topics=topic or (), exclude=exclude or ())
         first, last = opened.time_range or (0, 0)
         with open_session(at, timeout_s=max(wait_for_subscriber, 1.0)) as session, progress("playing") as advance:
