@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+
 from fuselog.replay import open_log
 from fuselog.replay.doctor import examine
 from fuselog.replay.layout import describe

@@ -15,7 +15,7 @@ _ZSTD_RLE = 1
 class Unpacked(NamedTuple):
     """What came of a stream: ``data``, from its first ``consumed`` bytes; ``whole`` when it came to its end."""
 
-    data: bytes
+    data: bytes | bytearray
     consumed: int
     whole: bool
 
@@ -28,18 +28,17 @@ def unpack_blocks(compression: str, packed: memoryview, most: int) -> Unpacked:
     if compression == "":
         return Unpacked(bytes(packed[:most]), min(len(packed), most), len(packed) <= most)
     pieces = {"zstd": _zstd, "lz4": _lz4_frame}.get(compression)
-    parts: list[bytes] = []
-    size = consumed = 0
-    whole = False
+    data = bytearray()
+    consumed, whole = 0, False
     try:
-        for data, end, last in pieces(packed) if pieces else ():
-            if size + len(data) > most:
+        for piece, end, last in pieces(packed) if pieces else ():
+            if len(data) + len(piece) > most:
                 break
-            parts.append(data)
-            size, consumed, whole = size + len(data), end, last
+            data += piece
+            consumed, whole = end, last
     except (zstandard.ZstdError, RuntimeError, MemoryError):  # lz4 raises the last two
         pass
-    return Unpacked(b"".join(parts), consumed, whole)
+    return Unpacked(data, consumed, whole)
 
 
 _Pieces = Iterator[tuple[bytes, int, bool]]  # bytes of a block, where it ends in the stream, whether it is the last
