@@ -153,6 +153,23 @@ def test_damaged_magic_and_damaged_summary_take_no_message(tmp_path: Path) -> No
     assert {"no magic bytes", "summary crc does not match"} <= {damage.reason for damage in recovery.damages}
 
 
+def test_what_lies_behind_the_end_is_lost_and_named(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.mcap", SMALL, "zstd", per_chunk=10)
+    content = path.read_bytes()
+    path.write_bytes(content + content)
+    recovery, rows = rescued(path)
+    assert rows == SMALL
+    (damage,) = [damage for damage in recovery.damages if damage.lost]
+    assert (damage.begin, damage.end) == (len(content) - len(MAGIC), 2 * len(content))
+
+
+def test_more_channels_than_the_limit_is_an_error(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.mcap", SMALL, "zstd", per_chunk=10)
+    with pytest.raises(LogError, match="more than 1 channels"):
+        recover(path, tmp_path / "out.mcap", limits=Limits(channels=1))
+    assert os.listdir(tmp_path) == ["log.mcap"]
+
+
 @pytest.mark.parametrize("opcode", [9, 12])
 def test_a_damaged_attachment_or_metadata_record_is_named(tmp_path: Path, opcode: int) -> None:
     path = write(tmp_path / "log.mcap", SMALL, "zstd", per_chunk=10)

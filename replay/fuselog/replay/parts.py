@@ -12,6 +12,7 @@ from fuselog.replay.contents import MAGIC
 from fuselog.replay.find import begins_at, chunk_end, find_records
 from fuselog.replay.records import CHUNK, DATA_END, FOOTER, FRAME, MESSAGE
 
+BEHIND = "bytes behind the end of the log"
 NOTHING = 0  # in place of an opcode: no record
 CUT = "the file is cut"  # the reason for a record, or the chunk, that reaches beyond its end
 _FEWEST_ROWS, _MOST_ROWS = 16, 1 << 14  # of a scan
@@ -124,6 +125,4 @@ def _broken(data: NDArray[np.uint8], at: int) -> Part:
 def _tail(data: NDArray[np.uint8], at: int) -> Iterator[Part]:
     rest = len(data) - at
     if rest > len(MAGIC) or data[at:].tobytes() != MAGIC:
-        yield Part(
-            NOTHING, at, len(data), "no magic bytes at the end" if rest <= len(MAGIC) else "bytes behind the end"
-        )
+        yield Part(NOTHING, at, len(data), BEHIND if rest > len(MAGIC) else "no magic bytes at the end")

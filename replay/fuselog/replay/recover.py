@@ -86,7 +86,7 @@ def recover(
     when nothing can be read, the output cannot be written or is the input, or does not read back as written.
     """
     output = Path(output)
-    if output.exists() and os.path.samefile(path, output):
+    if output.exists() and Path(path).exists() and output.samefile(path):
         raise LogError(str(output), 0, "the output is the input")
     if output.exists() and not force:
         raise LogError(str(output), 0, "there is such a file already")

@@ -18,7 +18,7 @@ from fuselog.replay.contents import MAGIC
 from fuselog.replay.damage import Damage, Damages
 from fuselog.replay.decompress import Limits
 from fuselog.replay.mapped import map_file
-from fuselog.replay.parts import Part, parts_of
+from fuselog.replay.parts import BEHIND, Part, parts_of
 from fuselog.replay.records import FRAME
 from fuselog.replay.torn import TornChunks, count_indexed
 from fuselog.schemas.errors import LogError
@@ -75,7 +75,8 @@ class Salvage:
             self._records += part.opcode != 0
             match part.opcode:
                 case records.SCHEMA | records.CHANNEL:
-                    self._define(part.opcode, self._data, part.begin + FRAME, part.end, part)
+                    lost = not self.complete
+                    self._define(part.opcode, self._data, part.begin + FRAME, part.end, part, lost=lost)
                 case records.MESSAGE:
                     yield from self._bare(part)
                 case records.CHUNK:
@@ -87,7 +88,8 @@ class Salvage:
                 case records.DATA_END:
                     self._end_data(part)
                 case 0:
-                    self._damage(part, part.reason, lost=not self.complete and part.end > len(MAGIC))
+                    lost = not self.complete and part.end > len(MAGIC)
+                    self._damage(part, part.reason, lost=lost or part.reason == BEHIND)
                 case _:
                     pass
         if not self._records:
@@ -125,22 +127,22 @@ class Salvage:
             return
         for part in parts_of(self._data[:end], start):
             if part.opcode in (records.SCHEMA, records.CHANNEL):
-                self._define(part.opcode, self._data, part.begin + FRAME, part.end, part)
+                self._define(part.opcode, self._data, part.begin + FRAME, part.end, part, lost=False)
             elif part.opcode == records.STATISTICS:
                 try:
                     self.statistics = parse(mcap.records.Statistics.read, self._content(part))
                 except ValueError as error:
                     self._damage(part, f"statistics: {error}", lost=False)
 
-    def _define(self, opcode: int, data: NDArray[np.uint8], begin: int, end: int, part: Part) -> None:
-        if end - begin > self._limits.record_bytes:
-            self._damage(part, f"definition of {end - begin} bytes, above the limit of {self._limits.record_bytes}")
-            return
+    def _define(self, opcode: int, data: NDArray[np.uint8], begin: int, end: int, part: Part, *, lost: bool) -> None:
+        """Learn the content ``data[begin:end]`` of a Schema or Channel record that lies in ``part``."""
         known = len(self.definitions)
         try:
+            if end - begin > self._limits.record_bytes:
+                raise ValueError(f"definition of {end - begin} bytes, above the limit of {self._limits.record_bytes}")
             self.definitions.add(opcode, data[begin:end].tobytes())
         except ValueError as error:
-            self._damage(part, str(error), lost=not self.complete)
+            self._damage(part, str(error), lost=lost)
         if len(self.definitions) > self._limits.channels:
             raise LogError(self.path, 0, f"more than {self._limits.channels} channels, which is the limit")
         if len(self.definitions) > known:
@@ -148,7 +150,7 @@ class Salvage:
 
     def _bare(self, part: Part) -> Iterator[Messages]:
         if part.end - part.begin > self._limits.record_bytes:
-            self._damage(part, f"messages of {part.end - part.begin} bytes, above the limit", messages=1)
+            self._damage(part, f"messages of {part.end - part.begin} bytes, above the limit")
             return
         yield from self._take(self._data, part.begin, part.end, part)
 
@@ -174,7 +176,7 @@ class Salvage:
             found = np.empty((definitions, 3), np.int64)
             records.find_definitions(data, begin, whole, found)
             for opcode, at, length in found.tolist():
-                self._define(opcode, data, at, at + length, part)
+                self._define(opcode, data, at, at + length, part, lost=True)
         stream, times, extent = np.empty(n, np.int32), np.empty((3, n), np.int64), np.empty((2, n), np.int64)
         met: Counts = np.zeros(_CHANNELS, np.int64)
         n, _ = records.fill(data, begin, whole, self._wanted, met, stream, times, extent)
