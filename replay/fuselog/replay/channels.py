@@ -40,14 +40,18 @@ def parse(read: Callable[[ReadDataStream], _Record], content: bytes) -> _Record:
     """A record of the ``mcap`` package from its content; ValueError if it is broken."""
     try:
         return read(ReadDataStream(BytesIO(content)))
-    except (struct.error, McapError, ValueError) as error:
+    except (struct.error, McapError, ValueError, OverflowError) as error:
         raise ValueError(f"broken record: {error or type(error).__name__}") from error
 
 
 class Definitions:
-    """The channels and schemas met so far; where one number is declared twice, the first counts."""
+    """The channels and schemas met so far; where one number is declared twice, the first counts.
 
-    def __init__(self) -> None:
+    They take at most ``most_bytes`` in the file together.
+    """
+
+    def __init__(self, most_bytes: int = 64 << 20) -> None:
+        self._left = self._most_bytes = most_bytes
         self._schemas: dict[int, mcap.records.Schema] = {}
         self._channels: dict[int, mcap.records.Channel] = {}
 
@@ -63,10 +67,13 @@ class Definitions:
         return {id: _public(self._schemas[id]) for id in sorted(self._schemas)}
 
     def add(self, opcode: int, content: bytes) -> None:
-        """Take in the content of a Schema or Channel record; ValueError if it is broken."""
+        """Take in the content of a Schema or Channel record; ValueError if it is broken, or too much."""
         known = self._schemas if opcode == records.SCHEMA else self._channels
         if len(content) >= 2 and int.from_bytes(content[:2], "little") in known:
             return
+        if len(content) > self._left:
+            raise ValueError(f"more than {self._most_bytes} bytes of schemas and channels, which is the limit")
+        self._left -= len(content)
         if opcode == records.SCHEMA:
             schema = parse(mcap.records.Schema.read, content)
             self._schemas[schema.id] = schema

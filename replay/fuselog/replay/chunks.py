@@ -44,17 +44,29 @@ def read_header(data: NDArray[np.uint8], offset: int, end: int) -> ChunkHeader:
     """The header of the Chunk record that takes up ``data[offset:end]``; ValueError if there is none."""
     try:
         opcode, length = struct.unpack_from("<BQ", data.data, offset)
-        if opcode != records.CHUNK or offset + records.FRAME + length != end:
-            raise ValueError("no chunk where the index says")
+    except struct.error as error:
+        raise ValueError("broken chunk header") from error
+    if opcode != records.CHUNK or offset + records.FRAME + length != end:
+        raise ValueError("no chunk where the index says")
+    header = parse_header(data, offset, end)
+    if header.end > end:
+        raise ValueError("chunk payload longer than its record")
+    return header
+
+
+def parse_header(data: NDArray[np.uint8], offset: int, end: int) -> ChunkHeader:
+    """The chunk header in ``data[offset:end]``, whatever opcode and length are before it; ValueError if it is cut.
+
+    Its payload may reach beyond ``end``.
+    """
+    at = offset + records.FRAME + 32
+    try:
         start, finish, size, crc, name = struct.unpack_from("<QQQII", data.data, offset + records.FRAME)
-        at = offset + records.FRAME + 32
         compression = data[at : min(at + name, end)].tobytes().decode()
         (packed,) = struct.unpack_from("<Q", data.data, at + name)
     except (struct.error, UnicodeDecodeError) as error:
         raise ValueError("broken chunk header") from error
     begin = at + name + 8
-    if begin + packed > end:
-        raise ValueError("chunk payload longer than its record")
     return ChunkHeader(clamp(start), clamp(finish), size, crc, compression, begin, begin + packed)
 
 

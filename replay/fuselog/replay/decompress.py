@@ -30,6 +30,10 @@ class Limits:
     channels: int = 4096
 
 
+class TooLargeError(ValueError):
+    """A chunk that would take more memory than the limits allow."""
+
+
 class Decompressor:
     """Opens the chunks of one log; keeps a zstd context for every thread from chunk to chunk."""
 
@@ -41,7 +45,8 @@ class Decompressor:
     def open(self, data: NDArray[np.uint8], header: ChunkHeader) -> NDArray[np.uint8]:
         """The records of the chunk (header.size,); a view of ``data`` when the chunk is not compressed.
 
-        Raises ValueError with the reason: limits, broken stream, other size than declared, wrong CRC.
+        Raises TooLargeError beyond the limits, and ValueError for a broken stream, another size than
+        declared, or a wrong CRC.
         """
         packed = data[header.begin : header.end]
         self._refuse_too_big(header.size, len(packed))
@@ -55,11 +60,11 @@ class Decompressor:
     def _refuse_too_big(self, size: int, packed: int) -> None:
         limits = self._limits
         if size > limits.chunk_bytes:
-            raise ValueError(f"chunk of {size} bytes, above the limit of {limits.chunk_bytes}")
+            raise TooLargeError(f"chunk of {size} bytes, above the limit of {limits.chunk_bytes}")
         if packed > limits.record_bytes:
-            raise ValueError(f"chunk of {packed} compressed bytes, above the limit of {limits.record_bytes}")
+            raise TooLargeError(f"chunk of {packed} compressed bytes, above the limit of {limits.record_bytes}")
         if size > max(limits.free_bytes, packed * limits.ratio):
-            raise ValueError(f"chunk of {size} bytes from {packed}, above the ratio of {limits.ratio}")
+            raise TooLargeError(f"chunk of {size} bytes from {packed}, above the ratio of {limits.ratio}")
 
     def _unpack(self, compression: str, packed: NDArray[np.uint8], size: int) -> bytes | memoryview:
         if compression == "":

@@ -32,6 +32,7 @@ class McapFile:
         if source.read(0, len(MAGIC)).tobytes() != MAGIC:
             raise LogError(source.path, 0, "not an MCAP: it does not begin with the magic bytes")
         self.path = source.path
+        self.remote = "://" in source.path  # not a file of this machine
         self._source = source
         self._check_crc = check_crc
         self._losses = Losses(source.path)

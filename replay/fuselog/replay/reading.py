@@ -13,9 +13,8 @@ from fuselog.replay.loss import Losses
 from fuselog.replay.merge import Piece
 from fuselog.replay.opener import Opener
 from fuselog.replay.selection import END, Selection
+from fuselog.replay.walk import MessageWalk
 from fuselog.schemas.messages import Messages
-
-_CHANNELS = 1 << 16  # channel numbers are u16
 
 
 class Reading:
@@ -28,11 +27,11 @@ class Reading:
         self._losses = losses
         self._selection = selection
         self._chosen: Set[int] = declared if selection.channels is None else declared & selection.channels
-        self._wanted = np.zeros(_CHANNELS, np.uint8)
+        self._wanted = np.zeros(records.CHANNELS, np.uint8)
         self._wanted[list(self._chosen)] = 1
-        self._counts = np.zeros(_CHANNELS, np.int64)  # met
-        self._lost = np.zeros(_CHANNELS, np.int64)  # already accounted for as losses of chunks
-        self._rows = np.empty((records.COLUMNS, 0), np.int64)  # of `fill`, for chunk after chunk
+        self._counts = np.zeros(records.CHANNELS, np.int64)  # met
+        self._lost = np.zeros(records.CHANNELS, np.int64)  # already accounted for as losses of chunks
+        self._walk = MessageWalk()
 
     def pieces(self) -> list[Piece]:
         """The chunks that may hold something selected, by their index."""
@@ -71,12 +70,12 @@ class Reading:
         """The selected messages of the chunk in time order, ties as they lie; None if there are none."""
         block = self._opener.admit(chunk, opened)
         if block is None:
-            self._count_lost(chunk, np.zeros(_CHANNELS, np.int64))
+            self._count_lost(chunk, np.zeros(records.CHANNELS, np.int64))
             return None
         data, begin, end = block
-        messages, ordered, short, whole = self._fill(data, begin, end)
+        messages, ordered, short, whole = self._walk.take(data, begin, end, self._wanted, self._counts)
         if whole != end:
-            lost = self._count_lost(chunk, records.count(data, begin, end, _CHANNELS))
+            lost = self._count_lost(chunk, records.count(data, begin, end))
             self._losses.add(chunk.offset, f"record at byte {whole} of the chunk points outside of it", lost)
         if short:
             self._losses.add(chunk.offset, "messages shorter than their own header", short)
@@ -107,24 +106,6 @@ class Reading:
         begin = int(np.searchsorted(times, max(selection.start_ns, 0)))
         end = len(times) if selection.end_ns >= END else int(np.searchsorted(times, max(selection.end_ns, 0)))
         return messages.take(slice(begin, end)) if begin < end else None
-
-    def _fill(self, data: NDArray[np.uint8], begin: int, end: int) -> tuple[Messages, bool, int, int]:
-        """(chosen messages as they lie, whether in time order, short messages, where the whole records end)."""
-        most = (end - begin) // records.LEAST_MESSAGE
-        if most > self._rows.shape[1]:
-            self._rows = np.empty((records.COLUMNS, most), np.int64)
-        n, ordered, short, whole = records.fill(data, begin, end, self._wanted, self._counts, self._rows)
-        channel, sequence, log_time, publish_time, start, length = self._rows[:, :n].copy()
-        messages = Messages(
-            stream=channel.astype(np.int32),
-            data=data,
-            start=start,
-            length=length,
-            log_time=log_time,
-            publish_time=publish_time,
-            sequence=sequence,
-        )
-        return messages, ordered, short, whole
 
     def _count_lost(self, chunk: Chunk, came: NDArray[np.int64]) -> int | None:
         """Account for what the message index of a damaged chunk counts beyond what came of it."""

@@ -12,6 +12,7 @@ MESSAGE_HEADER = 22  # bytes of channel, sequence and the two times before the p
 LEAST_MESSAGE = FRAME + MESSAGE_HEADER  # bytes of a message without payload
 COLUMNS = 6  # of `fill`
 DATA_END_SIZE, FOOTER_SIZE = 4, 20  # of their contents, which are never extended
+CHANNELS = 1 << 16  # numbers of channels are u16
 MAX_TIME = 2**63 - 1  # ns; later times of the file (u64) are read as this one
 
 Integer = int | np.int64  # what a kernel works with
@@ -99,9 +100,9 @@ def fill(
     return n, bool(ordered), short, int(at)
 
 
-def count(data: NDArray[np.uint8], begin: int, end: int, channels: int) -> NDArray[np.int64]:
-    """Messages by channel (channels,) of the whole records of ``data[begin:end]``."""
-    counts, none = np.zeros(channels, np.int64), np.zeros(channels, np.uint8)
+def count(data: NDArray[np.uint8], begin: int, end: int) -> NDArray[np.int64]:
+    """Messages by channel (CHANNELS,) of the whole records of ``data[begin:end]``."""
+    counts, none = np.zeros(CHANNELS, np.int64), np.zeros(CHANNELS, np.uint8)
     fill(data, begin, end, none, counts, np.empty((COLUMNS, 0), np.int64))
     return counts
 

@@ -1,13 +1,12 @@
 """Where the bytes of a log lie: a mapped file, or one that grows; `remote` has those of servers."""
 
-import mmap
 import os
-import stat
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fuselog.replay.mapped import map_file
 from fuselog.schemas.errors import LogError
 
 
@@ -46,16 +45,7 @@ class MappedFile:
 
     def __init__(self, path: str) -> None:
         self._path = path
-        try:
-            with open(path, "rb") as file:
-                if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                    raise LogError(path, 0, "not a file")
-                if os.fstat(file.fileno()).st_size == 0:
-                    raise LogError(path, 0, "the file is empty")
-                mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-            raise LogError(path, 0, getattr(error, "strerror", None) or str(error)) from error
-        data = np.frombuffer(mapped, np.uint8)
+        data = map_file(path)
         self._size = len(data)
         self._data: NDArray[np.uint8] | None = data
 

@@ -18,6 +18,7 @@ MAGIC = b"\x89MCAP0\r\n"
 _FRAME = struct.Struct("<BQ")
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length 20, summary start, summary offset start, crc
 _LONGEST_HEADER = 1 << 20  # bytes
+_LARGEST = 64 << 20  # bytes of any other record; what lies beyond is not read
 _NO_ROWS = np.empty((0, 5), np.int64)
 
 
@@ -39,7 +40,7 @@ class Section(NamedTuple):
     def records(self, *opcodes: int) -> list[Record]:
         """The records with one of these opcodes, in file order."""
         return [
-            Record(opcode, self.base + at - records.FRAME, self.data[at : at + length].tobytes())
+            Record(opcode, self.base + at - records.FRAME, self.data[at : at + min(length, _LARGEST)].tobytes())
             for opcode, at, length in self._extents(opcodes)
         ]
 

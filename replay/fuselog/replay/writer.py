@@ -13,13 +13,12 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import McapRecord
 
+from fuselog.replay import records
 from fuselog.replay.framing import Batch, Frames
 from fuselog.replay.records import MAX_TIME
 from fuselog.replay.sink import Sink, encode
 from fuselog.replay.summary import MAGIC
 from fuselog.schemas.messages import Messages
-
-_CHANNELS = 1 << 16  # channel numbers are u16
 
 # What ROS 2 players ask of each channel: reliable, volatile, keep the last ten, no deadline.
 _ROS2_QOS = """\
@@ -63,7 +62,8 @@ class LogWriter:
         self._schemas: dict[tuple[str, str, bytes], mcap.records.Schema] = {}
         self._channels: list[mcap.records.Channel] = []
         self._metadata: list[mcap.records.MetadataIndex] = []
-        self._counts = np.zeros(_CHANNELS, np.int64)
+        self._attachments: list[mcap.records.AttachmentIndex] = []
+        self._counts = np.zeros(records.CHANNELS, np.int64)
         self._first, self._last = MAX_TIME, 0
         self._frames = Frames(chunk_bytes)
         self._sink = Sink(os.fspath(path), compression)
@@ -115,6 +115,18 @@ class LogWriter:
         def place(offset: int) -> bytes:
             self._metadata.append(mcap.records.MetadataIndex(offset=offset, length=len(record), name=name))
             return record
+
+        self._sink.append(place)
+
+    def add_attachment(self, name: str, data: bytes, *, media_type: str, log_time: int, create_time: int) -> None:
+        """Write a file as an attachment record; times in ns."""
+        content = encode(mcap.records.Attachment(create_time, log_time, name, media_type, data))
+
+        def place(offset: int) -> bytes:
+            size = len(data)
+            index = mcap.records.AttachmentIndex(offset, len(content), log_time, create_time, size, name, media_type)
+            self._attachments.append(index)
+            return content
 
         self._sink.append(place)
 
@@ -187,6 +199,7 @@ class LogWriter:
             (Opcode.STATISTICS, [self._statistics()]),
             (Opcode.CHUNK_INDEX, [*self._sink.chunks]),
             (Opcode.METADATA_INDEX, [*self._metadata]),
+            (Opcode.ATTACHMENT_INDEX, [*self._attachments]),
         ]
         builder = RecordBuilder()
         offsets: list[McapRecord] = []
@@ -205,7 +218,7 @@ class LogWriter:
     def _statistics(self) -> mcap.records.Statistics:
         total = int(self._counts.sum())
         return mcap.records.Statistics(
-            attachment_count=0,
+            attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts={c.id: int(self._counts[c.id]) for c in self._channels},
             chunk_count=len(self._sink.chunks),

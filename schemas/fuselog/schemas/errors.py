@@ -18,7 +18,7 @@ class LogError(FuselogError):
     """A log that cannot be read at one place: the file, the byte offset in it, and why."""
 
     def __init__(self, path: str, offset: int, reason: str) -> None:
-        super().__init__(f"{path}: byte {offset}: {reason}")
+        super().__init__(f"{path if path.isprintable() else repr(path)}: byte {offset}: {reason}")
         self.path = path
         self.offset = offset
         self.reason = reason

@@ -18,6 +18,8 @@ COMMANDS = (
     "check",
     "info",
     "export",
+    "doctor",
+    "recover",
     "reprocess",
     "play",
     "serve",
@@ -50,6 +52,9 @@ def make_app() -> typer.Typer:
 
 def main() -> None:
     """Run the command line; exits 0 ok, 1 failed, 2 usage or config, 3 data loss, 4 differs, 130 interrupted."""
+    escape: Callable[..., None] | None = getattr(sys.stdout, "reconfigure", None)
+    if escape is not None:
+        escape(errors="backslashreplace")  # names of files need not be text
     try:
         make_app()()
     except ConfigError as error:

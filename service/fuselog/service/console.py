@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import orjson
 from rich.console import Console
@@ -30,6 +30,27 @@ def progress(title: str) -> Generator[Advance]:
 
 
 def print_json(result: dict[str, Any]) -> None:
-    """One object on stdout. NaN and infinity become null, for JSON has neither."""
-    sys.stdout.buffer.write(orjson.dumps(result, option=orjson.OPT_SERIALIZE_NUMPY) + b"\n")
+    """One object on stdout. NaN and infinity become null, for JSON has neither; names that are no text are escaped."""
+    try:
+        text = orjson.dumps(result, option=orjson.OPT_SERIALIZE_NUMPY)
+    except orjson.JSONEncodeError:
+        text = orjson.dumps(_encodable(result), option=orjson.OPT_SERIALIZE_NUMPY)
+    sys.stdout.buffer.write(text + b"\n")
     sys.stdout.buffer.flush()
+
+
+def printable(text: str) -> str:
+    """The text with what would move a terminal, or is no character, escaped: what a log or a file is called."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def _encodable(value: Any) -> Any:
+    match value:
+        case str():
+            return value.encode("utf-8", "backslashreplace").decode()
+        case dict():
+            return {_encodable(key): _encodable(item) for key, item in cast(dict[Any, Any], value).items()}
+        case list() | tuple():
+            return [_encodable(item) for item in cast(list[Any], value)]
+        case _:
+            return value

@@ -1,15 +1,23 @@
 """``fuselog check``: is a configuration right, and what would it do with a log."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fuselog.service.limits import with_limits
 
+if TYPE_CHECKING:
+    from fuselog.replay.decompress import Limits
+
+
+@with_limits
 def check(
     config: Annotated[Path, typer.Argument(help="The fusion configuration (YAML).")],
     log: Annotated[Path | None, typer.Argument(help="A log to check it against.")] = None,
     explain: Annotated[bool, typer.Option("--explain", help="Print every setting, defaults included.")] = False,
+    *,
+    limits: "Limits",
 ) -> None:
     """Validate a configuration; with a log, say which topic feeds what, without fusing anything."""
     from fuselog.fusion import Filter, load_plan  # noqa: PLC0415  slow to import
@@ -29,7 +37,7 @@ def check(
     if explain:
         typer.echo(plan.config.model_dump_json(indent=2, by_alias=True))
     if log is not None:
-        with open_log(log) as opened:
+        with open_log(log, limits=limits) as opened:
             used = open_inputs(opened, Filter(plan, order="by_stamp"))
             for topic in sorted(opened.topics):
                 counts = [channel.count for channel in opened.topics[topic]]

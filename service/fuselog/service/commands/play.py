@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fuselog.service.console import print_json, stderr
+from fuselog.service.limits import with_limits
 
 if TYPE_CHECKING:
+    from fuselog.replay.decompress import Limits
     from fuselog.replay.play import Status
     from fuselog.service.player import Report
 
@@ -16,6 +18,7 @@ Names = list[str] | None
 _TIME = "Seconds of the log, @unix seconds, or ISO 8601."
 
 
+@with_limits
 def play(
     logs: Logs,
     config: Annotated[
@@ -62,6 +65,8 @@ def play(
     no_control: Annotated[bool, typer.Option("--no-control", help="Take no commands over Zenoh.")] = False,
     no_keys: Annotated[bool, typer.Option("--no-keys", help="Take no commands from the keyboard.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    *,
+    limits: "Limits",
 ) -> None:
     """Publish logs as they were recorded, and wait until services are done with them.
 
@@ -80,7 +85,7 @@ def play(
     if connect or listen or config is None:
         default = [] if listen else ["tcp/127.0.0.1:7447"]
         at = Endpoints(mode=mode, listen=listen or [], connect=connect or default)
-    with open_log(*logs) as log:
+    with open_log(*logs, limits=limits) as log:
         try:
             if loop_to is not None and (until is not None or not loop):
                 raise CommandError("--to is for loops, and the same as --until there")

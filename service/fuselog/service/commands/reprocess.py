@@ -1,13 +1,18 @@
 """``fuselog reprocess``: a log through a filter, offline."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from fuselog.service.console import print_json, progress, stderr
+from fuselog.service.limits import with_limits
+
+if TYPE_CHECKING:
+    from fuselog.replay.decompress import Limits
 
 
+@with_limits
 def reprocess(
     logs: Annotated[
         list[str], typer.Argument(metavar="LOG...", help="MCAP logs, or folders of rosbag2: fused as one.")
@@ -26,6 +31,8 @@ def reprocess(
     ] = None,
     rrd: Annotated[Path | None, typer.Option(help="Also write a Rerun recording of the output.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    *,
+    limits: "Limits",
 ) -> None:
     """Fuse a log as fast as the machine allows; write estimates, odometry and a decision for every sample."""
     from fuselog.fusion import load_plan  # noqa: PLC0415  slow to import
@@ -40,7 +47,7 @@ def reprocess(
     plan = load_plan(config)
     if smooth and plan.config.gain.mode != "optimal":
         stderr.print(f"smoothing with the optimal gain; gain.mode {plan.config.gain.mode} is not used")
-    with open_log(*logs) as opened, progress("smoothing" if smooth else "fusing") as advance:
+    with open_log(*logs, limits=limits) as opened, progress("smoothing" if smooth else "fusing") as advance:
         if smooth:
             summary = smooth_to(opened, plan, output, spill=spill, advance=advance)
         else:
