@@ -19,6 +19,7 @@ COMMANDS = (
     "info",
     "reprocess",
     "play",
+    "record",
     "serve",
     "evaluate",
     "tune",

@@ -9,26 +9,17 @@ import zenoh
 
 from fuselog.fusion import Outputs, Plan
 from fuselog.fusion.config import Problem
-from fuselog.schemas import FuselogError
 from fuselog.service.outbox import Outbox
 from fuselog.service.progress import answer_progress
 from fuselog.service.runner import Runner, Snapshot
 from fuselog.service.streams import learn
-from fuselog.service.threads import Worker
+from fuselog.service.threads import Worker, WorkerError
 from fuselog.service.transport import TransportError, key_of
 from fuselog.service.warm import warm_up
 from fuselog.service.zenoh_door import subscribe
 
 _PUBLISH_S = 10.0  # for what is left at the end
 _STUCK_S = 10.0  # a turn of the filter that takes longer is a failure of liveness
-
-
-class WorkerError(FuselogError):
-    """A thread of the service failed; what it was, in one line."""
-
-    def __init__(self, worker: Worker) -> None:
-        reason = f"{type(worker.error).__name__}: {worker.error}".splitlines()[0]
-        super().__init__(f"the {worker.name} stopped: {reason}")
 
 
 class LiveFilter:

@@ -29,7 +29,7 @@ class Outbox:
         media = [media_type("cdr", output.schema_name) for output in outputs.topics]
         keys = [key_of(output.topic) for output in outputs.topics]
         self._publishers = [Publisher(session, key, kind) for key, kind in zip(keys, media, strict=True)]
-        tell(session, {key_of(output.topic): [_stream(output)] for output in outputs.topics})
+        tell(session, {key_of(output.topic): [_stream(output)] for output in outputs.topics}, outputs=True)
 
     def offer(self, messages: Messages) -> None:
         """Give what ``Outputs.encode`` made to the publishing thread."""

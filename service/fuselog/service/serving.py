@@ -7,8 +7,8 @@ from socket import socket
 from fuselog.fusion import Plan
 from fuselog.service.api import LOOPBACK, Look, create_app
 from fuselog.service.http import HttpServer, bind, is_loopback, refuse_exposure
-from fuselog.service.live import LiveFilter, WorkerError, check_topics
-from fuselog.service.threads import Worker
+from fuselog.service.live import LiveFilter, check_topics
+from fuselog.service.threads import Worker, WorkerError
 from fuselog.service.transport import open_session, service_endpoints
 
 _CONNECT_S = 10.0

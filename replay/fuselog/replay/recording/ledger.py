@@ -16,12 +16,17 @@ class Account(NamedTuple):
     queue: int = 0  # dropped: came faster than they could be written
     disk: int = 0  # dropped: the disk took no more
     limit: int = 0  # dropped: too large a message, too many channels, too little memory for a snapshot
-    missed: int = 0  # never received: gaps in the publishers' numbering
+    gaps: int = 0  # numbers that publishers gave and nothing came with; what the queue dropped is among them
 
     @property
     def dropped(self) -> int:
         """Received and gone."""
         return self.queue + self.disk + self.limit
+
+    @property
+    def missed(self) -> int:
+        """Sent and never received."""
+        return max(self.gaps - self.queue, 0)
 
     @property
     def lossy(self) -> bool:

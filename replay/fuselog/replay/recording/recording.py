@@ -89,6 +89,11 @@ class Recording:
             _check_folder(Path(path))
             self._ring = Ring(span, self._options.snapshot_bytes)
 
+    @property
+    def on_demand(self) -> bool:
+        """Whether only snapshots are written."""
+        return self._ring is not None
+
     def add_channel(
         self, topic: str, schema: Schema, *, encoding: str = "cdr", metadata: Mapping[str, str] | None = None
     ) -> int | None:
@@ -113,8 +118,8 @@ class Recording:
         self._ledger.add(topic, received=count, **{reason: count})
 
     def miss(self, topic: str, count: int) -> None:
-        """Account for messages that were sent and never received."""
-        self._ledger.add(topic, missed=count)
+        """Account for numbers that a publisher gave and that did not come."""
+        self._ledger.add(topic, gaps=count)
 
     def write(self, messages: Messages) -> None:
         """Take messages in the order in which they were received, with log times (from 0) of arrival."""

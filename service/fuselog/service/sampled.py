@@ -1,0 +1,137 @@
+"""Samples into messages of the channels of a recording."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import zenoh
+
+from fuselog.replay.recording import Recording
+from fuselog.schemas import Messages
+from fuselog.service.declared import Declared
+from fuselog.service.selection import Selection
+from fuselog.service.spool import Arrived
+from fuselog.service.wire import UNTAGGED, Tag, read_tag
+from fuselog.service.zenoh_door import sent_ns
+
+_MOST_SOURCES = 4096
+_PATIENCE_S, _LONGEST_PATIENCE_S = 2.0, 60.0  # until the network is asked again for a type
+
+Describe = Callable[[str, str], Declared]
+
+
+class Sampled(NamedTuple):
+    """A sample, and the number of the subscription on which it came."""
+
+    subscription: int
+    sample: zenoh.Sample
+
+
+@dataclass(slots=True)
+class _Stream:
+    """Samples of one key and type on one subscription."""
+
+    topic: str
+    wanted: bool
+    channel: int | None  # None: not wanted, or too many
+    patience_s: float
+    ask_at: float  # monotonic s; never again where the type is known
+
+
+class SampledStreams:
+    """Knows every stream that something came of, and declares its channel in the recording.
+
+    A type that nobody tells is asked for again, for publishers may announce theirs late; the channel is another then.
+    """
+
+    def __init__(self, recording: Recording, describe: Describe, selection: Selection) -> None:
+        self._recording, self._describe, self._selection = recording, describe, selection
+        self._streams: dict[tuple[int, str, str], _Stream] = {}
+        self._last: dict[tuple[str, bytes], int] = {}  # number of the newest sample by key and publisher
+
+    def messages(self, arrived: Sequence[Arrived[Sampled]]) -> Messages:
+        """The samples that are recorded, with the time of arrival as log time."""
+        rows: list[tuple[int, int, int, int]] = []
+        payloads: list[bytes] = []
+        for (subscription, sample), arrival_ns in arrived:
+            key = str(sample.key_expr)
+            stream = self._stream(subscription, key, str(sample.encoding))
+            if not stream.wanted or sample.kind != zenoh.SampleKind.PUT:
+                continue
+            attachment = sample.attachment
+            tag = UNTAGGED if attachment is None else read_tag(attachment.to_bytes())
+            self._number(stream.topic, key, tag)
+            if stream.channel is None:
+                self._recording.drop(stream.topic, "limit")
+                continue
+            published = tag.t_ns if tag.t_ns > 0 else sent_ns(sample) or arrival_ns
+            rows.append((stream.channel, arrival_ns, published, max(tag.sequence, 0)))
+            payloads.append(sample.payload.to_bytes())
+        return _messages(rows, payloads)
+
+    def drop(self, subscription: int, key: str, count: int) -> None:
+        """Account for samples for which there was no room, if they were to be recorded."""
+        known = (stream for (n, k, _), stream in self._streams.items() if (n, k) == (subscription, key))
+        stream = next(known, None) or self._open(subscription, key, "")
+        if stream.wanted:
+            self._recording.drop(stream.topic, "queue", count)
+
+    def _stream(self, subscription: int, key: str, media: str) -> _Stream:
+        identity = (subscription, key, media)
+        stream = self._streams.get(identity)
+        if stream is None:
+            if len(self._streams) >= _MOST_SOURCES:
+                del self._streams[next(iter(self._streams))]
+            stream = self._streams[identity] = self._open(subscription, key, media)
+        elif stream.ask_at < time.monotonic():
+            self._ask_again(stream, key, media)
+        return stream
+
+    def _open(self, subscription: int, key: str, media: str) -> _Stream:
+        if not self._selection.takes(subscription, key):
+            return _Stream(key, False, None, 0.0, float("inf"))
+        declared = self._describe(key, media)
+        wanted = self._selection.names(declared.topic)
+        channel = self._add(declared) if wanted else None
+        ask_at = time.monotonic() + _PATIENCE_S if wanted and not declared.schema.name else float("inf")
+        return _Stream(declared.topic, wanted, channel, _PATIENCE_S, ask_at)
+
+    def _ask_again(self, stream: _Stream, key: str, media: str) -> None:
+        declared = self._describe(key, media)
+        if declared.schema.name:
+            stream.topic, stream.channel = declared.topic, self._add(declared)
+            stream.ask_at = float("inf")
+        else:
+            stream.patience_s = min(2 * stream.patience_s, _LONGEST_PATIENCE_S)
+            stream.ask_at = time.monotonic() + stream.patience_s
+
+    def _add(self, declared: Declared) -> int | None:
+        return self._recording.add_channel(
+            declared.topic, declared.schema, encoding=declared.encoding, metadata=declared.metadata
+        )
+
+    def _number(self, topic: str, key: str, tag: Tag) -> None:
+        """Note what is missing in the numbering of a publisher."""
+        source = key, tag.source
+        last = self._last.get(source, 0)
+        if last and tag.sequence > last + 1:
+            self._recording.miss(topic, tag.sequence - last - 1)
+        if not last and len(self._last) >= _MOST_SOURCES:
+            del self._last[next(iter(self._last))]
+        self._last[source] = max(last, tag.sequence)
+
+
+def _messages(rows: Sequence[tuple[int, int, int, int]], payloads: Sequence[bytes]) -> Messages:
+    table = np.array(rows, np.int64).reshape(-1, 4)
+    length = np.fromiter(map(len, payloads), np.int64, len(payloads))
+    return Messages(
+        stream=table[:, 0].astype(np.int32),
+        data=np.frombuffer(b"".join(payloads), np.uint8),
+        start=np.cumsum(length) - length,
+        length=length,
+        log_time=table[:, 1].copy(),
+        publish_time=table[:, 2].copy(),
+        sequence=table[:, 3].copy(),
+    )
