@@ -30,6 +30,7 @@ class Recorder:
     """Records from construction to ``finish``. No method but ``finish`` waits; what there is no room for is counted.
 
     ``snapshot``, when set, asks for a snapshot. ``ended`` is called when the thread is over, whatever the reason.
+    ``capacity_bytes`` may wait in memory for the thread.
     """
 
     def __init__(
@@ -41,12 +42,13 @@ class Recorder:
         outputs: Sequence[Output] = (),
         snapshot: threading.Event | None = None,
         ended: Callable[[], None] = lambda: None,
+        capacity_bytes: int = 64 << 20,
     ) -> None:
         self._recording = recording
         self._streams = SampledStreams(recording, describe, selection)
         self._outputs = [_declare(recording, output) for output in outputs]
         self._output_topics = [output.topic for output in outputs]
-        self._spool: Spool[Item] = Spool()
+        self._spool: Spool[Item] = Spool(capacity_bytes=capacity_bytes)
         self._dropped: Counter[tuple[int, str]] = Counter()  # by subscription and key; outputs are of none, -1
         self._lock = threading.Lock()
         self._snapshot = snapshot or threading.Event()
@@ -85,23 +87,28 @@ class Recorder:
             self._dropped.update(counts)
 
     def _run(self) -> None:
-        while True:
-            finishing = self._finishing
-            arrived = self._spool.take(0.0 if finishing else _TURN_S)
-            self._account()
-            for of_filter, several in groupby(arrived, lambda each: isinstance(each.item, Messages)):
-                self._write(list(several), of_filter=of_filter)
-            if self._snapshot.is_set():
-                self._snapshot.clear()
-                self._recording.snapshot()
-            self._recording.tick()
-            if finishing and not arrived:
-                self._recording.close()
+        try:
+            while not self._turn():
+                pass
+        finally:  # whatever went wrong, what has come so far is a whole log
+            self._recording.close()
             self._status = self._recording.status()
-            if finishing and not arrived:
-                return
-            if arrived and not finishing:
-                time.sleep(_GATHER_S)
+
+    def _turn(self) -> bool:
+        """Write what has come -> whether that was all there will be."""
+        finishing = self._finishing
+        arrived = self._spool.take(0.0 if finishing else _TURN_S)
+        self._account()
+        for of_filter, several in groupby(arrived, lambda each: isinstance(each.item, Messages)):
+            self._write(list(several), of_filter=of_filter)
+        if self._snapshot.is_set():
+            self._snapshot.clear()
+            self._recording.snapshot()
+        self._recording.tick()
+        self._status = self._recording.status()
+        if arrived and not finishing:
+            time.sleep(_GATHER_S)
+        return finishing and not arrived
 
     def _write(self, arrived: Sequence[Arrived[Item]], *, of_filter: bool) -> None:
         if of_filter:
