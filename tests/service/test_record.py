@@ -39,9 +39,11 @@ def sessions() -> Iterator[tuple[zenoh.Session, zenoh.Session]]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    with open_session(Endpoints(listen=[endpoint]), timeout_s=10) as ours:
-        with open_session(Endpoints(connect=[endpoint]), timeout_s=10) as theirs:
-            yield theirs, ours
+    with (
+        open_session(Endpoints(listen=[endpoint]), timeout_s=10) as ours,
+        open_session(Endpoints(connect=[endpoint]), timeout_s=10) as theirs,
+    ):
+        yield theirs, ours
 
 
 class Recorded:
