@@ -137,6 +137,7 @@ def recorded_equals_original(log: Path, config: Path, recorder: Recorder, *optio
         total = sum(channel.count or 0 for channel in original.channels.values())
         assert copy.losses == []
     assert (code, status["state"], status["received"], status["written"]) == (0, "closed", total, total), said
+    assert status["durable_until"] is not None
     assert run("info", recorder.path).returncode == 0
     same_results(log, recorder.path, config)
 
@@ -221,7 +222,7 @@ def test_full_disk(record: Callable[..., Recorder], shared_logs: Path) -> None:
     assert said.splitlines()[-1] == f"error: the recording stopped: {recorder.path}: File too large"
     assert status["received"] == status["written"] + status["dropped"]["disk"]
     with open_log(recorder.path) as log:
-        assert sum(1 for _ in log.messages()) == status["written"] > 4000
+        assert sum(1 for _ in log.messages()) == status["written"] > 1000
 
 
 def test_a_service_records_itself(serve: Serve, small_log: Path, tmp_path: Path) -> None:
@@ -234,9 +235,7 @@ def test_a_service_records_itself(serve: Serve, small_log: Path, tmp_path: Path)
             recording = _recording_with(service, 2500)
             published = len(payloads)
         assert (recording["state"], recording["file"]) == ("recording", str(tmp_path / f"drive_{number}.mcap"))
-        health = service.get("/api/v1/filters/small/health")
-        assert health["status"] == "degraded"  # the slips are gated, and nothing of the recording
-        assert not any("record" in reason for reason in health["reasons"])
+        assert service.get("/api/v1/filters/small/health")["reasons"] == []
         assert service.end()[0] == 0
         file = tmp_path / f"drive_{number}.mcap"
         with open_log(file) as log:

@@ -11,6 +11,7 @@ import zenoh
 from fuselog.fusion.config.settings import RecordSettings
 from fuselog.replay.recording import Account, Recording, RecordingStatus, RecordOptions
 from fuselog.service.declared import describe
+from fuselog.service.progress import tell_progress
 from fuselog.service.recorder import Recorder
 from fuselog.service.selection import Selection
 from fuselog.service.zenoh_door import subscribe
@@ -53,6 +54,8 @@ def record(
         recording, partial(describe, session, types), selection=selection, snapshot=snapshot, ended=stop.set
     )
     unsubscribe = [subscribe(session, key, partial(recorder.put, number)) for number, key in enumerate(selection.keys)]
+    # A player waits for the answer before it leaves, and the network keeps the order: nothing is under way then.
+    unsubscribe.append(tell_progress(session, f"recorder-{session.zid()}", recorder.progress))
     started = reported = time.monotonic()
     while not stop.wait(_LOOK_S) and (duration_s is None or time.monotonic() - started < duration_s):
         status = recorder.status

@@ -17,11 +17,13 @@ from fuselog.schemas import Messages
 from fuselog.service.declared import OUTPUT
 from fuselog.service.sampled import Describe, Sampled, SampledStreams
 from fuselog.service.selection import Selection
+from fuselog.service.sources import Progress
 from fuselog.service.spool import Arrived, Spool
 from fuselog.service.threads import Worker
 
 _GATHER_S = 0.02  # writing many messages at once costs little more than writing one
 _TURN_S = 0.1
+_PROGRESS_S = 1.5
 
 Item = Sampled | Messages
 
@@ -54,6 +56,9 @@ class Recorder:
         self._snapshot = snapshot or threading.Event()
         self._finishing = False
         self._status = recording.status()
+        self._progress: dict[str, dict[str, Progress]] = {}
+        self._turns = 0
+        self._turned = threading.Condition()
         self._worker = Worker("recorder", self._run, ended)
 
     @property
@@ -74,6 +79,14 @@ class Recorder:
         if len(messages) and not self._spool.put(messages, len(messages.data)):
             counts = np.bincount(messages.stream).tolist()
             self._drop({(-1, topic): n for topic, n in zip(self._output_topics, counts, strict=False)})
+
+    def progress(self, source: str) -> tuple[list[str], dict[str, Progress]]:
+        """The keys of a publisher (hexadecimal) that are recorded, and how far each is, after all that has come."""
+        with self._turned:
+            seen = self._turns + 2  # the turn under way may have begun before
+            self._turned.wait_for(lambda: self._turns >= seen or not self._worker.alive, _PROGRESS_S)
+        counts = self._progress.get(source, {})
+        return list(counts), counts
 
     def finish(self) -> RecordingStatus:
         """Write what has come and close the files -> how it ended."""
@@ -105,7 +118,10 @@ class Recorder:
             self._snapshot.clear()
             self._recording.snapshot()
         self._recording.tick()
-        self._status = self._recording.status()
+        with self._turned:
+            self._status, self._progress = self._recording.status(), self._streams.progress()
+            self._turns += 1
+            self._turned.notify_all()
         if arrived and not finishing:
             time.sleep(_GATHER_S)
         return finishing and not arrived

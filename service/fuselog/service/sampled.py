@@ -12,6 +12,7 @@ from fuselog.replay.recording import Recording
 from fuselog.schemas import Messages
 from fuselog.service.declared import Declared
 from fuselog.service.selection import Selection
+from fuselog.service.sources import Progress
 from fuselog.service.spool import Arrived
 from fuselog.service.wire import UNTAGGED, Tag, read_tag
 from fuselog.service.zenoh_door import sent_ns
@@ -40,6 +41,15 @@ class _Stream:
     ask_at: float  # monotonic s; never again where the type is known
 
 
+@dataclass(slots=True)
+class _Publisher:
+    """One publisher of one key."""
+
+    received: int = 0
+    missed: int = 0
+    last: int = 0  # number of its newest sample
+
+
 class SampledStreams:
     """Knows every stream that something came of, and declares its channel in the recording.
 
@@ -49,7 +59,7 @@ class SampledStreams:
     def __init__(self, recording: Recording, describe: Describe, selection: Selection) -> None:
         self._recording, self._describe, self._selection = recording, describe, selection
         self._streams: dict[tuple[int, str, str], _Stream] = {}
-        self._last: dict[tuple[str, bytes], int] = {}  # number of the newest sample by key and publisher
+        self._publishers: dict[tuple[bytes, str], _Publisher] = {}  # by their bytes and key
 
     def messages(self, arrived: Sequence[Arrived[Sampled]]) -> Messages:
         """The samples that are recorded, with the time of arrival as log time."""
@@ -77,6 +87,13 @@ class SampledStreams:
         stream = next(known, None) or self._open(subscription, key, "")
         if stream.wanted:
             self._recording.drop(stream.topic, "queue", count)
+
+    def progress(self) -> dict[str, dict[str, Progress]]:
+        """How far each publisher (hexadecimal) has come with each key that is recorded."""
+        table: dict[str, dict[str, Progress]] = {}
+        for (source, key), publisher in self._publishers.items():
+            table.setdefault(source.hex(), {})[key] = Progress(publisher.received, publisher.missed)
+        return table
 
     def _stream(self, subscription: int, key: str, media: str) -> _Stream:
         identity = (subscription, key, media)
@@ -113,14 +130,18 @@ class SampledStreams:
         )
 
     def _number(self, topic: str, key: str, tag: Tag) -> None:
-        """Note what is missing in the numbering of a publisher."""
-        source = key, tag.source
-        last = self._last.get(source, 0)
-        if last and tag.sequence > last + 1:
-            self._recording.miss(topic, tag.sequence - last - 1)
-        if not last and len(self._last) >= _MOST_SOURCES:
-            del self._last[next(iter(self._last))]
-        self._last[source] = max(last, tag.sequence)
+        """Count a sample of a publisher, and note what is missing in its numbering."""
+        publisher = self._publishers.get((tag.source, key))
+        if publisher is None:
+            if len(self._publishers) >= _MOST_SOURCES:
+                del self._publishers[next(iter(self._publishers))]
+            publisher = self._publishers[tag.source, key] = _Publisher()
+        publisher.received += 1
+        if publisher.last and tag.sequence > publisher.last + 1:
+            gap = tag.sequence - publisher.last - 1
+            publisher.missed += gap
+            self._recording.miss(topic, gap)
+        publisher.last = max(publisher.last, tag.sequence)
 
 
 def _messages(rows: Sequence[tuple[int, int, int, int]], payloads: Sequence[bytes]) -> Messages:
