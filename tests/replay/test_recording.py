@@ -152,7 +152,7 @@ def test_a_clock_that_goes_back(tmp_path):
     assert recording.status().durable_until == START + 2999 * 10_000_000
 
 
-@pytest.mark.parametrize("batch", [1, 700, 20_000])
+@pytest.mark.parametrize("batch", [20, 700, 20_000])
 def test_split_by_size(tmp_path, batch):
     """Files of no more than the size and their summary, each whole; together they hold all, once."""
     recording = record(tmp_path / "a.mcap", max_bytes=300_000)

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from fuselog.fusion import Outputs, Stream, compile_plan, parse_config
 from fuselog.replay import Channel, RawMessage, is_output, open_log
-from fuselog.replay.recording import Recording, RecordingStatus, RecordOptions
+from fuselog.replay.recording import Account, Recording, RecordingStatus, RecordOptions
 from fuselog.schemas import definition
 from fuselog.service.cli import make_app
 from fuselog.service.declared import describe, ros_key
@@ -247,6 +247,24 @@ def test_no_room(sessions, record):
         assert account.received == 400 == account.written + account.queue
         assert account.missed == 0
     assert len(recorded.read()) == status.total.written
+
+
+def test_a_flood_of_keys(sessions, record, monkeypatch):
+    """Beyond so many as a reader takes, samples are counted under limit; memory is bounded, and the first go on."""
+    monkeypatch.setattr("fuselog.replay.recording.recording._MOST_CHANNELS", 50)
+    monkeypatch.setattr("fuselog.service.sampled._MOST_STREAMS", 60)
+    monkeypatch.setattr("fuselog.replay.recording.ledger._MOST_TOPICS", 70)
+    theirs, _ = sessions
+    recorded = record()
+    for number in range(300):
+        theirs.put(f"flood/{number}", b"x")
+        if number % 100 == 0:
+            theirs.put("good", b"y")
+    status = recorded.finish(303)
+    assert status.accounts["good"] == Account(received=3, written=3)
+    assert (status.total.written, status.total.limit) == (49 + 3, 300 - 49)
+    assert len(status.accounts) == 71
+    assert status.accounts["(other topics)"].limit == 300 - 69
 
 
 def test_a_full_spool_refuses_at_once():

@@ -17,7 +17,8 @@ from fuselog.service.spool import Arrived
 from fuselog.service.wire import UNTAGGED, Tag, read_tag
 from fuselog.service.zenoh_door import sent_ns
 
-_MOST_SOURCES = 4096
+_MOST_STREAMS = 8192
+_MOST_PUBLISHERS = 4096
 _PATIENCE_S, _LONGEST_PATIENCE_S = 2.0, 60.0  # until the network is asked again for a type
 
 Describe = Callable[[str, str], Declared]
@@ -84,7 +85,7 @@ class SampledStreams:
     def drop(self, subscription: int, key: str, count: int) -> None:
         """Account for samples for which there was no room, if they were to be recorded."""
         known = (stream for (n, k, _), stream in self._streams.items() if (n, k) == (subscription, key))
-        stream = next(known, None) or self._open(subscription, key, "")
+        stream = next(known, None) or self._unnamed(subscription, key)
         if stream.wanted:
             self._recording.drop(stream.topic, "queue", count)
 
@@ -99,21 +100,26 @@ class SampledStreams:
         identity = (subscription, key, media)
         stream = self._streams.get(identity)
         if stream is None:
-            if len(self._streams) >= _MOST_SOURCES:
-                del self._streams[next(iter(self._streams))]
+            if len(self._streams) >= _MOST_STREAMS:
+                return self._unnamed(subscription, key)
             stream = self._streams[identity] = self._open(subscription, key, media)
         elif stream.ask_at < time.monotonic():
             self._ask_again(stream, key, media)
         return stream
 
     def _open(self, subscription: int, key: str, media: str) -> _Stream:
-        if not self._selection.takes(subscription, key):
-            return _Stream(key, False, None, 0.0, float("inf"))
+        if self._recording.full or not self._selection.takes(subscription, key):
+            return self._unnamed(subscription, key)
         declared = self._describe(key, media)
         wanted = self._selection.names(declared.topic)
         channel = self._add(declared) if wanted else None
         ask_at = time.monotonic() + _PATIENCE_S if wanted and not declared.schema.name else float("inf")
         return _Stream(declared.topic, wanted, channel, _PATIENCE_S, ask_at)
+
+    def _unnamed(self, subscription: int, key: str) -> _Stream:
+        """A stream of which nothing is known, and that has no channel."""
+        wanted = self._selection.takes(subscription, key) and self._selection.names(key)
+        return _Stream(key, wanted, None, 0.0, float("inf"))
 
     def _ask_again(self, stream: _Stream, key: str, media: str) -> None:
         declared = self._describe(key, media)
@@ -133,7 +139,7 @@ class SampledStreams:
         """Count a sample of a publisher, and note what is missing in its numbering."""
         publisher = self._publishers.get((tag.source, key))
         if publisher is None:
-            if len(self._publishers) >= _MOST_SOURCES:
+            if len(self._publishers) >= _MOST_PUBLISHERS:
                 del self._publishers[next(iter(self._publishers))]
             publisher = self._publishers[tag.source, key] = _Publisher()
         publisher.received += 1

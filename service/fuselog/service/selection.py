@@ -20,7 +20,7 @@ class Selection:
 
     def takes(self, subscription: int, key: str) -> bool:
         """Whether a sample that came on ``keys[subscription]`` counts; where keys overlap, it comes on each of them."""
-        return not _matching(self.exclude, key) and _matching(self.keys, key)[0] == subscription
+        return not _match([*self.exclude, *self.keys[:subscription]], key)
 
     def names(self, topic: str) -> bool:
         """Whether the topic has the pattern in it."""
@@ -38,5 +38,5 @@ def expressions(topics: Sequence[str]) -> list[str]:
     return found
 
 
-def _matching(expressions: Sequence[str], key: str) -> list[int]:
-    return [n for n, expression in enumerate(expressions) if zenoh.KeyExpr(expression).includes(key)]
+def _match(expressions: Sequence[str], key: str) -> bool:
+    return any(zenoh.KeyExpr(expression).includes(key) for expression in expressions)

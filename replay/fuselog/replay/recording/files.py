@@ -95,6 +95,7 @@ class Part:
         try:
             self._writer = LogWriter(path, compression=compression, chunk_bytes=bounds.bytes)
         except LogError:
+            path.unlink()
             os.close(self._descriptor)
             raise
         try:
@@ -137,6 +138,7 @@ class Part:
             self._writer.close()
             if self._sync:
                 os.fsync(self._descriptor)
+            self.size = os.fstat(self._descriptor).st_size
         except (LogError, OSError):
             self.cut()
             raise
@@ -153,10 +155,11 @@ class Part:
 
 def _sync_folder(path: Path) -> None:
     """So that the file has its name after a power cut too."""
-    folder = os.open(path.parent, os.O_RDONLY)
     try:
-        os.fsync(folder)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
     except OSError as error:
-        raise LogError(str(path), 0, error.strerror or str(error)) from error
-    finally:
-        os.close(folder)
+        raise LogError(str(path.parent), 0, error.strerror or str(error)) from error

@@ -34,14 +34,20 @@ class Account(NamedTuple):
         return self.dropped + self.missed > 0
 
 
+OTHERS = "(other topics)"
+_MOST_TOPICS = 8192
+
+
 class Ledger:
-    """Counts by topic."""
+    """Counts by topic; when there are too many, of those that come later together."""
 
     def __init__(self) -> None:
         self._accounts: dict[str, Account] = {}
 
     def add(self, topic: str, **counts: int) -> None:
         """Add to the fields of a topic's account."""
+        if topic not in self._accounts and len(self._accounts) >= _MOST_TOPICS:
+            topic = OTHERS
         account = self._accounts.get(topic, Account())
         self._accounts[topic] = account._replace(**{name: getattr(account, name) + n for name, n in counts.items()})
 

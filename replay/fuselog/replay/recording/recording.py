@@ -94,6 +94,11 @@ class Recording:
         """Whether only snapshots are written."""
         return self._ring is not None
 
+    @property
+    def full(self) -> bool:
+        """Whether there are as many channels as a reader takes."""
+        return len(self._channels) >= _MOST_CHANNELS
+
     def add_channel(
         self, topic: str, schema: Schema, *, encoding: str = "cdr", metadata: Mapping[str, str] | None = None
     ) -> int | None:
@@ -101,7 +106,7 @@ class Recording:
 
         A schema without a name is none.
         """
-        if len(self._channels) >= _MOST_CHANNELS:
+        if self.full:
             return None
         channel = Channel(len(self._channels) + 1, topic, schema, encoding, dict(metadata or {}), None)
         self._channels.append(channel)
@@ -206,7 +211,7 @@ class Recording:
         n = self._room(part, messages)
         try:
             if n:
-                self._append(part, messages.take(slice(0, n)))
+                self._append(messages.take(slice(0, n)))
             else:
                 self._next(int(messages.log_time[0]))
         except (LogError, RecordingError) as error:
@@ -228,16 +233,22 @@ class Recording:
         over = messages.log_time >= part_first + options.max_ns
         return int(over.argmax()) if over.any() else n
 
-    def _append(self, part: Part, messages: Messages) -> None:
+    def _append(self, messages: Messages) -> None:
+        size = _bytes(messages)
+        if self._pending_bytes and self._pending_bytes + size > self._bounds.bytes:
+            self._flush()
+        if self._part is None:
+            self._count(messages, disk=1)
+            return
         if not self._pending_bytes:
             self._pending_since = self._clock()
         self._pending += np.bincount(messages.stream, minlength=len(self._pending))
         self._count(messages, waiting=1)
-        self._pending_bytes += _bytes(messages)
+        self._pending_bytes += size
         if self._durable is not None:  # a clock that went back
             self._durable = min(self._durable, int(messages.log_time.min()) - 1)
         self._newest = max(self._newest, int(messages.log_time.max()))
-        part.write(messages)
+        self._part.write(messages)
         if self._pending_bytes >= self._bounds.bytes:
             self._flush()
 
