@@ -386,6 +386,7 @@ def test_limits(tmp_path):
     recording.write(numbered(0, 3))
     recording.write(numbered(3, 1, size=(64 << 20) - 30))
     recording.write(numbered(4, 1, size=(64 << 20) - 31))
+    assert recording.add_channel("/a", NONE, encoding="raw") == 1  # the same again
     for k in range(2, 4097):
         assert recording.add_channel(f"/t{k}", NONE) == k
     assert recording.add_channel("/more", NONE) is None

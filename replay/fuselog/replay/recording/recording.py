@@ -68,6 +68,7 @@ class Recording:
         self._bounds = BOUNDS[self._options.durability]
         self._names = Names(Path(path), numbered=self._options.numbered, resume=self._options.resume)
         self._channels: list[Channel] = []
+        self._numbers: dict[tuple[str, Schema, str, tuple[tuple[str, str], ...]], int] = {}
         self._latched = Latched(self._options.latched)
         self._ledger = Ledger()
         self._pending = np.zeros(_MOST_CHANNELS + 1, np.int64)  # written and not safe yet, by channel
@@ -102,15 +103,21 @@ class Recording:
     def add_channel(
         self, topic: str, schema: Schema, *, encoding: str = "cdr", metadata: Mapping[str, str] | None = None
     ) -> int | None:
-        """Declare a channel -> its number for ``Messages.stream``; None when there are too many.
+        """Declare a channel, or find the same -> its number for ``Messages.stream``; None when there are too many.
 
         A schema without a name is none.
         """
+        about = dict(metadata or {})
+        identity = (topic, schema, encoding, tuple(sorted(about.items())))
+        if identity in self._numbers:
+            return self._numbers[identity]
         if self.full:
             return None
-        channel = Channel(len(self._channels) + 1, topic, schema, encoding, dict(metadata or {}), None)
+        channel = Channel(len(self._channels) + 1, topic, schema, encoding, about, None)
         self._channels.append(channel)
+        self._numbers[identity] = channel.id
         self._latched.watch(channel.id, topic)
+        self._ledger.add(topic)
         if self._part is not None:
             try:
                 self._part.declare(channel)
