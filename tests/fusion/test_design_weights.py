@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests.fusion.from_python import from_python
 
 from fuselog.fusion.design import (
     DesignError,
@@ -21,7 +22,9 @@ from fuselog.fusion.design import (
     steady_scalar_gain,
 )
 from fuselog.fusion.design.matrices import Floats
-from fuselog.fusion.kernel.scalars import wrap
+from fuselog.fusion.kernel import scalars
+
+wrap = from_python(scalars.wrap)
 
 R3 = np.array([0.1, 0.2, 0.4]) ** 2
 RULES: tuple[MissingRule, ...] = ("prediction", "renormalize", "rescale", "skip")

@@ -6,15 +6,19 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
+from tests.fusion.from_python import from_python
 from tests.fusion.setups import Sample, events_of, make_plan, put
 from tests.logs import Topic, messages_of
 
-from fuselog.fusion import Decision, Engine, Events
-from fuselog.fusion.atmosphere import EXPONENT, height, height_slope, power
+from fuselog.fusion import Decision, Engine, Events, atmosphere
+from fuselog.fusion.atmosphere import EXPONENT
 from fuselog.fusion.events import join
 from fuselog.fusion.intake import Intake
 from fuselog.schemas import ConfigError
 
+height = from_python(atmosphere.height)
+height_slope = from_python(atmosphere.height_slope)
+power = from_python(atmosphere.power)
 SECOND = 1_000_000_000
 BARO = {"topic": "/baro", "kind": "pressure"}
 

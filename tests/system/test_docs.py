@@ -45,6 +45,7 @@ _SECTIONS = {  # first cell of a table's head, or the heading above it: whose ke
     "smooth": settings.SmoothSettings,
     "zenoh": settings.ZenohSettings,
     "http": settings.HttpSettings,
+    "record": settings.RecordSettings,
 }
 
 

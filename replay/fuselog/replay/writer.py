@@ -79,6 +79,11 @@ class LogWriter:
     ) -> None:
         self.close()
 
+    @property
+    def size(self) -> int:
+        """Bytes of the file; exact right after `flush`."""
+        return self._sink.offset
+
     def add_channel(
         self,
         topic: str,

@@ -7,6 +7,8 @@ from pydantic import BaseModel, Field
 
 from fuselog.fusion.health import Health, Losses, SensorHealth
 from fuselog.fusion.report import estimate_json
+from fuselog.replay.recording import RecordingStatus
+from fuselog.service.record import status_json
 from fuselog.service.runner import Snapshot
 
 Status = Literal["ok", "degraded", "waiting"]
@@ -110,6 +112,23 @@ class SensorAnswer(BaseModel):
     age_s: Number
 
 
+class RecordingAnswer(BaseModel):
+    """The recording of a filter: received = written + waiting + expired + the sum of dropped."""
+
+    state: Literal["recording", "stopped", "closed"]
+    reason: str = Field(description="why it stopped")
+    file: str | None = Field(description="the newest")
+    files: int
+    bytes: int
+    durable_until: int | None = Field(description="ns: log time up to which all that was not dropped is in the files")
+    received: int
+    written: int
+    waiting: int
+    expired: int
+    dropped: dict[str, int]
+    missed: int
+
+
 class HealthAnswer(BaseModel):
     """One filter: what is wrong, and why."""
 
@@ -121,6 +140,7 @@ class HealthAnswer(BaseModel):
     optimality_ratio: Number = Field(description="variances over those of the optimal gain; null when it is used")
     unpublished: int = Field(description="results dropped because subscribers were too slow")
     idle_s: Number = Field(description="since any sample came, by the clock of the service")
+    recording: RecordingAnswer | None = Field(description="null when nothing is to be recorded")
     sensors: dict[str, SensorAnswer]
 
 
@@ -146,9 +166,11 @@ def health_answer(snapshot: Snapshot, *, now: float) -> HealthAnswer:
     health: Health = snapshot.health
     dropped = snapshot.unpublished
     late = [f"{dropped} results not published: subscribers are too slow"] if dropped else []
+    recording = snapshot.recording
+    wrong = [*late, *([] if recording is None else _recording_reasons(recording))]
     return HealthAnswer(
-        status="degraded" if late else health.status,
-        reasons=[*late, *health.reasons],
+        status="degraded" if wrong else health.status,
+        reasons=[*wrong, *health.reasons],
         t_ns=health.t_ns,
         finite=health.finite,
         positive=health.positive,
@@ -156,7 +178,21 @@ def health_answer(snapshot: Snapshot, *, now: float) -> HealthAnswer:
         unpublished=dropped,
         idle_s=None if snapshot.last_arrival is None else now - snapshot.last_arrival,
         sensors={name: _sensor(sensor) for name, sensor in health.sensors.items()},
+        recording=None if recording is None else _recording(recording),
     )
+
+
+def _recording_reasons(status: RecordingStatus) -> list[str]:
+    stopped = [f"the recording stopped: {status.reason}"] if status.state == "stopped" else []
+    dropped = status.total.dropped
+    return [*stopped, *([f"{dropped} messages not recorded"] if dropped else [])]
+
+
+def _recording(status: RecordingStatus) -> RecordingAnswer:
+    plain = status_json(status)
+    del plain["topics"]
+    files = plain.pop("files")
+    return RecordingAnswer(file=files[-1] if files else None, files=len(files), **plain)
 
 
 def _sensor(sensor: SensorHealth) -> SensorAnswer:

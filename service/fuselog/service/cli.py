@@ -22,6 +22,7 @@ COMMANDS = (
     "recover",
     "reprocess",
     "play",
+    "record",
     "serve",
     "evaluate",
     "tune",

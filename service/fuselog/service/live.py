@@ -1,20 +1,22 @@
 """A filter on a Zenoh session: its subscriptions, its two threads, and its orderly end."""
 
 import secrets
+import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import zenoh
 
 from fuselog.fusion import Outputs, Plan
 from fuselog.fusion.config import Problem
-from fuselog.schemas import FuselogError
+from fuselog.service.filter_recorder import FilterRecorder
 from fuselog.service.outbox import Outbox
 from fuselog.service.progress import answer_progress
 from fuselog.service.runner import Runner, Snapshot
 from fuselog.service.streams import learn
-from fuselog.service.threads import Worker
+from fuselog.service.threads import Worker, WorkerError
 from fuselog.service.transport import TransportError, key_of
 from fuselog.service.warm import warm_up
 from fuselog.service.zenoh_door import subscribe
@@ -23,31 +25,36 @@ _PUBLISH_S = 10.0  # for what is left at the end
 _STUCK_S = 10.0  # a turn of the filter that takes longer is a failure of liveness
 
 
-class WorkerError(FuselogError):
-    """A thread of the service failed; what it was, in one line."""
-
-    def __init__(self, worker: Worker) -> None:
-        reason = f"{type(worker.error).__name__}: {worker.error}".splitlines()[0]
-        super().__init__(f"the {worker.name} stopped: {reason}")
-
-
 class LiveFilter:
     """Compiles a plan and fuses what comes on its topics, from construction to ``finish``.
 
-    ``ended`` is called when one of its threads is over, whatever the reason. Raises ``ConfigError`` for topics that
-    cannot be keys of Zenoh.
+    ``ended`` is called when one of its threads is over, whatever the reason, but for that of the recording, which may
+    fail without harm; ``snapshot``, when set, asks it for a snapshot. Raises ``ConfigError`` for topics that cannot be
+    keys of Zenoh.
     """
 
-    def __init__(self, plan: Plan, session: zenoh.Session, *, ended: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        session: zenoh.Session,
+        *,
+        ended: Callable[[], None],
+        snapshot: threading.Event | None = None,
+    ) -> None:
         check_topics(plan)
         warm_up(plan)
-        self._outbox = Outbox(session, Outputs(plan), source=secrets.token_bytes(16))
+        outputs = Outputs(plan)
+        self._outbox = Outbox(session, outputs, source=secrets.token_bytes(16))
         self._runner = Runner(plan, self._outbox, learn=partial(learn, session))
+        self._recorder: FilterRecorder | None = None
+        if plan.config.record is not None:
+            asked = snapshot or threading.Event()
+            self._recorder = FilterRecorder(plan.config.record, plan, session, outputs, asked)
+            self._outbox.record = self._recorder.put_outputs
         self._publishing = Worker("publisher", self._outbox.run, ended)
         self._fusing = Worker("filter", self._runner.run, ended)
         self._unsubscribe = [
-            subscribe(session, key, partial(self._runner.inbox.put, number))
-            for number, key in enumerate(self._runner.keys)
+            subscribe(session, key, partial(self._take, number)) for number, key in enumerate(self._runner.keys)
         ]
         # Last, for a player takes the answer as a sign that all subscriptions have been announced before.
         self._fall_silent = answer_progress(
@@ -56,7 +63,8 @@ class LiveFilter:
 
     def snapshot(self) -> Snapshot:
         """The filter as it was a moment ago."""
-        return self._runner.snapshot
+        now = self._runner.snapshot
+        return now if self._recorder is None else replace(now, recording=self._recorder.status)
 
     @property
     def alive(self) -> bool:
@@ -74,9 +82,17 @@ class LiveFilter:
             pass
         self._outbox.finish()
         self._publishing.join(_PUBLISH_S)
+        if self._recorder is not None:
+            self._recorder.finish()
         for worker in (self._fusing, self._publishing):
             if worker.error is not None:
                 raise WorkerError(worker) from worker.error
+
+    def _take(self, number: int, sample: zenoh.Sample) -> None:
+        """A sample of key ``number``, on the network thread; recorded first, for the filter may hold it up."""
+        if self._recorder is not None:
+            self._recorder.put(sample)
+        self._runner.inbox.put(number, sample)
 
 
 def check_topics(plan: Plan) -> None:

@@ -1,6 +1,7 @@
 """Results on their way out: published by a thread of their own, so that no slow subscriber holds up the filter."""
 
 import queue
+from collections.abc import Callable
 
 import zenoh
 
@@ -21,6 +22,7 @@ class Outbox:
 
     def __init__(self, session: zenoh.Session, outputs: Outputs, *, source: bytes, capacity: int = 131_072) -> None:
         self.dropped = 0
+        self.record: Callable[[Messages], None] | None = None  # is given all that is offered, and never waits either
         self._capacity = capacity
         self._source = source
         self._queue: queue.SimpleQueue[Messages | None] = queue.SimpleQueue()
@@ -29,10 +31,12 @@ class Outbox:
         media = [media_type("cdr", output.schema_name) for output in outputs.topics]
         keys = [key_of(output.topic) for output in outputs.topics]
         self._publishers = [Publisher(session, key, kind) for key, kind in zip(keys, media, strict=True)]
-        tell(session, {key_of(output.topic): [_stream(output)] for output in outputs.topics})
+        tell(session, {key_of(output.topic): [_stream(output)] for output in outputs.topics}, outputs=True)
 
     def offer(self, messages: Messages) -> None:
         """Give what ``Outputs.encode`` made to the publishing thread."""
+        if self.record is not None:
+            self.record(messages)
         if self._offered - self._done + len(messages) > self._capacity:
             self.dropped += len(messages)
         elif len(messages):

@@ -24,14 +24,22 @@ class Received:
 Table = Callable[[], dict[str, dict[str, Progress]]]
 
 
+Tell = Callable[[str], tuple[list[str], Mapping[str, Progress]]]
+
+
 def answer_progress(session: zenoh.Session, filter: str, keys: list[str], table: Table) -> Callable[[], None]:
     """Answer ``@fuselog/<filter>/received?source=<hex>`` from ``table``; returns what ends it."""
-    key = f"@fuselog/{filter}/received"
+    return tell_progress(session, filter, lambda source: (keys, table().get(source, {})))
+
+
+def tell_progress(session: zenoh.Session, name: str, tell: Tell) -> Callable[[], None]:
+    """The same with keys that are not known before: ``tell`` gives them, and the counts, for a source (hex)."""
+    key = f"@fuselog/{name}/received"
 
     def received(query: zenoh.Query) -> dict[str, bytes]:
-        progress = table().get(query.parameters.get("source") or "", {})
-        counts = {name: list(counted) for name, counted in progress.items()}
-        return {key: orjson.dumps({"schema": 1, "filter": filter, "keys": keys, "progress": counts})}
+        keys, progress = tell(query.parameters.get("source") or "")
+        counts = {key: list(counted) for key, counted in progress.items()}
+        return {key: orjson.dumps({"schema": 1, "filter": name, "keys": keys, "progress": counts})}
 
     return answer(session, key, received)
 

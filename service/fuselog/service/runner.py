@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from fuselog.fusion import Estimate, Filter, Ledger, Outputs, Plan, Track, join_tracks
 from fuselog.fusion.health import Health, Losses, Recent, assess, no_samples, remember
 from fuselog.fusion.intake import same_topic
+from fuselog.replay.recording import RecordingStatus
 from fuselog.service.inbox import Inbox
 from fuselog.service.outbox import Outbox
 from fuselog.service.sources import Progress, Sources
@@ -28,6 +29,7 @@ class Snapshot:
     progress: dict[str, dict[str, Progress]]  # by publisher and key
     unpublished: int
     last_arrival: float | None  # monotonic s
+    recording: RecordingStatus | None = None  # None: there is to be none
 
     @property
     def health(self) -> Health:

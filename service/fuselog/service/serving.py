@@ -7,18 +7,26 @@ from socket import socket
 from fuselog.fusion import Plan
 from fuselog.service.api import LOOPBACK, Look, create_app
 from fuselog.service.http import HttpServer, bind, is_loopback, refuse_exposure
-from fuselog.service.live import LiveFilter, WorkerError, check_topics
-from fuselog.service.threads import Worker
+from fuselog.service.live import LiveFilter, check_topics
+from fuselog.service.threads import Worker, WorkerError
 from fuselog.service.transport import open_session, service_endpoints
 
 _CONNECT_S = 10.0
 _HTTP_S = 5.0  # for answers under way at the end
 
 
-def serve(plan: Plan, *, stop: threading.Event, started: Callable[[str], None], expose_http: bool = False) -> None:
+def serve(
+    plan: Plan,
+    *,
+    stop: threading.Event,
+    started: Callable[[str], None],
+    expose_http: bool = False,
+    snapshot: threading.Event | None = None,
+) -> None:
     """Run until ``stop`` is set, then fuse and publish what has come so far.
 
-    ``started`` is called with the address for HTTP when all is compiled and connected. Raises ``ConfigError``,
+    ``started`` is called with the address for HTTP when all is compiled and connected. ``snapshot``, when set, asks
+    for one of the recording. Raises ``ConfigError``,
     ``TransportError`` or ``HttpError`` when it cannot start, ``WorkerError`` when a part of it fails.
     """
     http = plan.config.http
@@ -38,7 +46,7 @@ def serve(plan: Plan, *, stop: threading.Event, started: Callable[[str], None], 
         answering = Worker("HTTP server", server.run, stop.set)
         try:
             with open_session(service_endpoints(plan.config.zenoh), timeout_s=_CONNECT_S) as session:
-                live = LiveFilter(plan, session, ended=stop.set)
+                live = LiveFilter(plan, session, ended=stop.set, snapshot=snapshot)
                 looks[plan.config.id], filters[plan.config.id] = live.snapshot, live
                 started(_address(listener))
                 stop.wait()

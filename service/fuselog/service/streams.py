@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
+from typing import NamedTuple
 
 import orjson
 import zenoh
@@ -10,18 +11,32 @@ from fuselog.fusion import Stream
 from fuselog.fusion.intake import TF_STATIC, Intake, same_topic
 from fuselog.schemas import FuselogError, SchemaError, definition
 from fuselog.service.wire import message_type
-from fuselog.service.zenoh_door import answer, ask
+from fuselog.service.zenoh_door import alive, answer, ask
 
 _ABOUT = "@fuselog/stream"  # `**` does not match what begins with @, so no one gets this by accident
 _LARGEST = 4 << 20  # bytes of a description that is read
 _PATIENCE_S = 1.0
+_SLASH = "\u00a7"  # of names in liveliness tokens of bridges
 
 Learn = Callable[[str], list[Stream]]
 
 
-def tell(session: zenoh.Session, streams: Mapping[str, Iterable[Stream]]) -> None:
-    """Answer everyone who asks what is published under a key of ``streams``, as long as the session lives."""
-    texts = {f"{_ABOUT}/{key}": orjson.dumps([asdict(s) for s in several]) for key, several in streams.items()}
+class Announced(NamedTuple):
+    """A stream as its publisher describes it, and whether it holds results of a filter."""
+
+    stream: Stream
+    is_output: bool
+
+
+def tell(session: zenoh.Session, streams: Mapping[str, Iterable[Stream]], *, outputs: bool = False) -> None:
+    """Answer everyone who asks what is published under a key of ``streams``, as long as the session lives.
+
+    ``outputs``: they hold results of a filter.
+    """
+    texts = {
+        f"{_ABOUT}/{key}": orjson.dumps([asdict(s) | {"output": outputs} for s in several])
+        for key, several in streams.items()
+    }
 
     def about(query: zenoh.Query) -> dict[str, bytes]:
         return {key: text for key, text in texts.items() if query.key_expr.intersects(key)}
@@ -31,18 +46,32 @@ def tell(session: zenoh.Session, streams: Mapping[str, Iterable[Stream]]) -> Non
 
 def learn(session: zenoh.Session, key: str) -> list[Stream]:
     """What publishers say of ``key``; empty when nobody does."""
+    return [each.stream for each in announced(session, key)]
+
+
+def announced(session: zenoh.Session, key: str) -> list[Announced]:
+    """The same, with which of them are outputs."""
     texts = ask(session, f"{_ABOUT}/{key}", timeout_s=_PATIENCE_S)
-    return [stream for text in texts for stream in _described(text)]
+    return [each for text in texts for each in _described(text)]
 
 
-def _described(text: bytes) -> list[Stream]:
+def _described(text: bytes) -> list[Announced]:
     """The streams of an answer; none when it is not one."""
     if len(text) > _LARGEST:
         return []
     try:
-        return [Stream(**{name: str(each[name]) for name in Stream.__slots__}) for each in orjson.loads(text)]
+        return [
+            Announced(Stream(**{name: str(each[name]) for name in Stream.__slots__}), each.get("output") is True)
+            for each in orjson.loads(text)
+        ]
     except (ValueError, TypeError, KeyError):
         return []
+
+
+def bridged_type(session: zenoh.Session, key: str) -> str:
+    """The type that a bridge of ROS 2 (zenoh-bridge-ros2dds) announces for a key; empty when none does."""
+    tokens = alive(session, f"@/*/@ros2_lv/MP/{key.replace('/', _SLASH)}/*/*", timeout_s=_PATIENCE_S)
+    return tokens[0].split("/")[5].replace(_SLASH, "/") if tokens else ""
 
 
 class Streams:

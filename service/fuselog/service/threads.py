@@ -3,6 +3,8 @@
 import threading
 from collections.abc import Callable
 
+from fuselog.schemas import FuselogError
+
 
 class Worker:
     """Runs ``work`` on a thread of its own and calls ``ended`` when it is over; ``error`` is what stopped it."""
@@ -31,3 +33,11 @@ class Worker:
             self.error = error
         finally:
             self._ended()
+
+
+class WorkerError(FuselogError):
+    """A thread of the service failed; what it was, in one line."""
+
+    def __init__(self, worker: Worker) -> None:
+        reason = f"{type(worker.error).__name__}: {worker.error}".splitlines()[0]
+        super().__init__(f"the {worker.name} stopped: {reason}")

@@ -80,6 +80,17 @@ def ask(session: zenoh.Session, selector: str, *, timeout_s: float) -> list[byte
     return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
 
+def alive(session: zenoh.Session, selector: str, *, timeout_s: float) -> list[str]:
+    """The liveliness tokens that match ``selector``."""
+    replies = session.liveliness().get(selector, timeout=timeout_s)
+    return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
+
+def sent_ns(sample: zenoh.Sample) -> int | None:
+    """The time (ns) that Zenoh gave a sample, where a session on its way stamps them."""
+    return None if sample.timestamp is None else sample.timestamp.get_time_as_ntp64().as_nanos()
+
+
 def configuration(values: dict[str, str]) -> zenoh.Config:
     """A configuration from JSON texts by path."""
     config = zenoh.Config()

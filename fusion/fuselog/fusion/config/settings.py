@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 _UNITS = {"s": 1.0, "ms": 1e-3, "min": 60.0}
+_SIZES = {"B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 
 
 def _seconds(value: Any) -> Any:
@@ -17,7 +18,17 @@ def _seconds(value: Any) -> Any:
     return value
 
 
+def _bytes(value: Any) -> Any:
+    if isinstance(value, str):
+        match = re.fullmatch(r"\s*([0-9.]+)\s*(B|kB|MB|GB|KiB|MiB|GiB)?\s*", value)
+        if match is None:
+            raise ValueError("expected a size such as 1000000, '64 MiB' or '2 GB'")
+        return round(float(match[1]) * _SIZES[match[2] or "B"])
+    return value
+
+
 Seconds = Annotated[float, BeforeValidator(_seconds)]
+Bytes = Annotated[int, BeforeValidator(_bytes)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -343,6 +354,23 @@ class HttpSettings(Settings):
     port: Annotated[int, Field(ge=0, le=65535)] = 8080
 
 
+class RecordSettings(Settings):
+    """A log of what the service receives and publishes: NAME_0.mcap, NAME_1.mcap, ..., beginning at a free number."""
+
+    path: str = Field(min_length=1, description="NAME.mcap, from the folder where the service runs")
+    compression: Literal["lz4", "zstd", "none"] = "lz4"
+    durability: Literal["none", "flush", "fsync"] = Field(
+        "flush", description="what a crash leaves: of the process (flush) or the machine (fsync), all but a second"
+    )
+    max_size: Annotated[Bytes, Field(ge=1 << 16)] | None = Field(None, description="bytes, then another file begins")
+    max_duration: Annotated[Seconds, Field(gt=0)] | None = Field(None, description="then another file begins")
+    snapshot: Annotated[Seconds, Field(gt=0, le=3600)] | None = Field(
+        None, description="time kept in memory, and written only at SIGUSR1"
+    )
+    snapshot_memory: Annotated[Bytes, Field(ge=1 << 20)] = Field(256 << 20, description="bytes of memory for it")
+    latched: list[str] = Field(default_factory=lambda: ["/tf_static"], description="topics repeated in every file")
+
+
 class Config(Settings):
     """One filter: model, start, gain, sensors, and where its results go."""
 
@@ -359,3 +387,4 @@ class Config(Settings):
     smooth: SmoothSettings | None = Field(None, description="fixed-lag smoothing; by default none")
     zenoh: ZenohSettings = ZenohSettings.model_validate({})
     http: HttpSettings = HttpSettings()
+    record: RecordSettings | None = Field(None, description="of a live service; by default nothing is recorded")
