@@ -21,7 +21,9 @@ from fuselog.replay.recover.salvage import Salvage
 
 def usage():
     used = resource.getrusage(resource.RUSAGE_SELF)
-    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+    with open("/proc/self/status") as status:  # getrusage's peak begins with that of the process that started this one
+        peak = next(line for line in status if line.startswith("VmHWM:"))
+    return used.ru_utime + used.ru_stime, int(peak.split()[1]) / 1024
 
 def read(path):
     with open_log(path) as log:
