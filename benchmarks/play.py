@@ -25,7 +25,7 @@ from tests.logs import Topic, imu, odometry, write_log
 
 from fuselog.replay import open_log
 from fuselog.replay.play import Drive, Playback, Played, Range, Timeline, playable, remap, source_of
-from fuselog.service.player import Player
+from fuselog.service.play.player import Player
 from fuselog.service.transport import Endpoints, open_session
 
 GOAL_MS = 1.0  # of the 99th percentile at rate 1

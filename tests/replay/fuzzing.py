@@ -15,7 +15,7 @@ import numpy as np
 
 from fuselog.replay import open_log
 from fuselog.replay.doctor import examine
-from fuselog.replay.file_layout import describe
+from fuselog.replay.mcap_file.file_layout import describe
 from fuselog.replay.recover.salvage import Salvage
 from fuselog.schemas.errors import LogError
 from fuselog.schemas.messages import Messages

@@ -5,7 +5,7 @@ import zlib
 import numpy as np
 import pytest
 
-from fuselog.replay import crc
+from fuselog.replay.mcap_file import crc
 
 
 @pytest.mark.parametrize("carryless", [True, False])

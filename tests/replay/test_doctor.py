@@ -13,10 +13,10 @@ import pytest
 from tests.logs import Topic, imu, messages_of
 
 from fuselog.replay import Limits, LogWriter
-from fuselog.replay.channels import Channel, Schema
 from fuselog.replay.doctor import Examination, examine
 from fuselog.replay.doctor.topic import TopicHealth
-from fuselog.replay.mapped import map_file
+from fuselog.replay.log.channels import Channel, Schema
+from fuselog.replay.mcap_file.mapped import map_file
 from fuselog.replay.recover.stretches import stretches_of
 from fuselog.schemas import Messages, definition
 

@@ -9,7 +9,7 @@ import pytest
 from mcap.writer import IndexType
 
 from fuselog.replay import Log, open_log
-from fuselog.replay.opener import Opener
+from fuselog.replay.mcap_file.opener import Opener
 
 CHUNKS = [[(100 * k + i, 0, 1 + (k % 2 if k > 2 else i % 2), i, bytes([k, i])) for i in range(50)] for k in range(8)]
 ROWS = [row for chunk in CHUNKS for row in chunk]

@@ -15,7 +15,7 @@ from tests.logs import imu, odometry, static_transform, write_log
 
 import fuselog.replay
 from fuselog.replay import LogWriter, open_log
-from fuselog.replay.arrow import MissingPackageError
+from fuselog.replay.log.arrow import MissingPackageError
 from fuselog.schemas import LogError, Messages, SchemaError
 
 START = 1_600_000_000_123_456_789
@@ -189,7 +189,7 @@ def test_reading_that_is_given_up_ends_its_threads(log_path: Path) -> None:
 
 
 def test_a_count_that_is_not_true_asks_for_no_memory(log_path: Path) -> None:
-    from fuselog.replay.columns import decode_topic
+    from fuselog.replay.log.columns import decode_topic
 
     with open_log(log_path) as log:
         (channel,) = log.topics["/imu"]

@@ -18,10 +18,10 @@ from fuselog.replay import Channel, RawMessage, is_output, open_log
 from fuselog.replay.recording import Account, Recording, RecordingStatus, RecordOptions
 from fuselog.schemas import definition
 from fuselog.service.cli import make_app
-from fuselog.service.declared import describe, ros_key
-from fuselog.service.recorder import Recorder
-from fuselog.service.selection import Selection, expressions
-from fuselog.service.spool import Spool
+from fuselog.service.recording.declared import describe, ros_key
+from fuselog.service.recording.recorder import Recorder
+from fuselog.service.recording.selection import Selection, expressions
+from fuselog.service.recording.spool import Spool
 from fuselog.service.streams import tell
 from fuselog.service.transport import Endpoints, TransportError, open_session
 from fuselog.service.wire import Tag, media_type, write_tag
@@ -204,7 +204,7 @@ def test_keys_that_are_none():
 def test_a_publisher_that_says_its_type_late(sessions, record, monkeypatch):
     """The samples before are in a channel without a schema, those after in one with it."""
     theirs, _ = sessions
-    monkeypatch.setattr("fuselog.service.sampled._PATIENCE_S", 0.1)
+    monkeypatch.setattr("fuselog.service.recording.sampled._PATIENCE_S", 0.1)
     recorded = record()
     theirs.put("late", b"before", encoding="application/cdr;their_msgs/msg/Late")
     recorded.wait(1)
@@ -252,7 +252,7 @@ def test_no_room(sessions, record):
 def test_a_flood_of_keys(sessions, record, monkeypatch):
     """Beyond so many as a reader takes, samples are counted under limit; memory is bounded, and the first go on."""
     monkeypatch.setattr("fuselog.replay.recording.recording._MOST_CHANNELS", 50)
-    monkeypatch.setattr("fuselog.service.sampled._MOST_STREAMS", 60)
+    monkeypatch.setattr("fuselog.service.recording.sampled._MOST_STREAMS", 60)
     monkeypatch.setattr("fuselog.replay.recording.ledger._MOST_TOPICS", 70)
     theirs, _ = sessions
     recorded = record()

@@ -9,8 +9,8 @@ from fuselog.replay import LogWriter, open_log, reprocess_to
 from fuselog.replay.results import read_results
 from fuselog.replay.simulate import simulate
 from fuselog.schemas import LogError
-from fuselog.service.view import write_recording
-from fuselog.service.viewer import open_viewer
+from fuselog.service.views.view import write_recording
+from fuselog.service.views.viewer import open_viewer
 
 CONFIG = """\
 fuselog: 1

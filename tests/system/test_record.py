@@ -47,7 +47,7 @@ with open_session(Endpoints(listen=[sys.argv[1]]), timeout_s=10) as session:
 # Forks a recorder for each line that it reads, so that only the first has to import everything.
 NURSERY = """
 import os, sys
-import fuselog.fusion, fuselog.service.cli, fuselog.service.record
+import fuselog.fusion, fuselog.service.cli, fuselog.service.recording.record
 from fuselog.replay.recording.recording import _load_kernels
 _load_kernels()
 fuselog.service.cli.make_app()

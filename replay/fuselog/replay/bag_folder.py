@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, cast
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from fuselog.replay.loss import Loss
+from fuselog.replay.log.loss import Loss
 from fuselog.schemas.errors import LogError
 
 _METADATA = "metadata.yaml"

@@ -13,9 +13,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fuselog.replay.arrow import pyarrow, require, to_arrow
 from fuselog.replay.log import Log
-from fuselog.replay.tables import TableDecoder
+from fuselog.replay.log.arrow import pyarrow, require, to_arrow
+from fuselog.replay.log.tables import TableDecoder
 from fuselog.schemas import FuselogError
 
 _MOST_ROWS: Final = 1 << 16  # of a topic that wait to be written together

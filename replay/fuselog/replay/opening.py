@@ -7,12 +7,12 @@ from os import PathLike
 from pathlib import Path
 
 from fuselog.replay.bag_folder import read_folder
-from fuselog.replay.decompress import Limits
 from fuselog.replay.log import Log
-from fuselog.replay.loss import Loss
-from fuselog.replay.mcap_file import McapFile
-from fuselog.replay.part import Part
-from fuselog.replay.source import MappedFile, Source
+from fuselog.replay.log.loss import Loss
+from fuselog.replay.log.part import Part
+from fuselog.replay.mcap_file.decompress import Limits
+from fuselog.replay.mcap_file.file import McapFile
+from fuselog.replay.mcap_file.source import MappedFile, Source
 from fuselog.schemas.errors import LogError
 
 _URL = re.compile("(s3|gs|https?):/{1,2}(?=[^/])")  # pathlib makes one slash of two
@@ -89,7 +89,7 @@ def _open_part(path: str, limits: Limits, *, check_crc: bool) -> Part:
 
 def _open_remote(url: str) -> Source:
     try:
-        from fuselog.replay.remote import RemoteFile  # noqa: PLC0415  an extra
+        from fuselog.replay.mcap_file.remote import RemoteFile  # noqa: PLC0415  an extra
     except ModuleNotFoundError as error:
         raise LogError(url, 0, "URLs are read by another package: pip install 'fuselog[remote]'") from error
     return RemoteFile(url)

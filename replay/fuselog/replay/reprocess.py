@@ -14,9 +14,9 @@ from fuselog.fusion import Filter, Order, Outputs, Plan, Stream, Track, join_tra
 from fuselog.fusion.intake import Taken
 from fuselog.fusion.report import estimate_json, ledger_json
 from fuselog.replay.ahead import ahead
-from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log
-from fuselog.replay.loss import Loss
+from fuselog.replay.log.channels import Channel
+from fuselog.replay.log.loss import Loss
 from fuselog.replay.opening import open_log
 from fuselog.replay.smoothing import smoothed, smoothing_plan
 from fuselog.replay.tracks import TrackWriter, is_output

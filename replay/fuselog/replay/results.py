@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision
 from fuselog.fusion.outputs import DECISION, ESTIMATE
-from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log
+from fuselog.replay.log.channels import Channel
 from fuselog.replay.opening import open_log
 from fuselog.schemas import LogError
 

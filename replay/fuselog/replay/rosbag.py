@@ -12,11 +12,11 @@ from rosbags.rosbag2 import Reader as Reader2
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from fuselog.replay.channels import Channel, Schema
-from fuselog.replay.loss import Loss, Losses
-from fuselog.replay.merge import Piece
-from fuselog.replay.part import Attachment
-from fuselog.replay.selection import END, Selection
+from fuselog.replay.log.channels import Channel, Schema
+from fuselog.replay.log.loss import Loss, Losses
+from fuselog.replay.log.merge import Piece
+from fuselog.replay.log.part import Attachment
+from fuselog.replay.log.selection import END, Selection
 from fuselog.schemas.errors import LogError
 from fuselog.schemas.messages import Messages
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.replay.writer import LogWriter
+from fuselog.replay.mcap_file.writer import LogWriter
 from fuselog.schemas import CdrEncoder, Messages, definition
 
 _START_NS = 1_700_000_000_000_000_000  # stamps look like a clock's

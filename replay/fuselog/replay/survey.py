@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from fuselog.replay.log import Log
-from fuselog.replay.loss import Loss
+from fuselog.replay.log.loss import Loss
 
 
 @dataclass(slots=True)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion import Outputs, Plan
-from fuselog.replay.channels import Channel
-from fuselog.replay.writer import LogWriter
+from fuselog.replay.log.channels import Channel
+from fuselog.replay.mcap_file.writer import LogWriter
 from fuselog.schemas import Messages
 
 _MARK = {"fuselog": "output"}  # in the metadata of a channel

@@ -18,7 +18,7 @@ from fuselog.replay.simulate import simulate
 from fuselog.replay.truth import Truth, read_truth
 from fuselog.replay.wall_robot import arc
 from fuselog.service.errors import OutputError
-from fuselog.service.view import write_recording
+from fuselog.service.views.view import write_recording
 
 Floats = NDArray[np.float64]
 Step = Callable[[float, float], None]

@@ -41,7 +41,7 @@ def with_limits(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def run(**options: Any) -> None:
-        from fuselog.replay.decompress import Limits  # noqa: PLC0415  slow to import
+        from fuselog.replay.mcap_file.decompress import Limits  # noqa: PLC0415  slow to import
 
         given = {name: options.pop(name) for name in _OPTIONS}
         command(**options, limits=Limits(**{name: value for name, value in given.items() if value is not None}))

@@ -11,9 +11,9 @@ import zenoh
 
 from fuselog.fusion import Outputs, Plan
 from fuselog.fusion.config import Problem
-from fuselog.service.filter_recorder import FilterRecorder
 from fuselog.service.outbox import Outbox
 from fuselog.service.progress import answer_progress
+from fuselog.service.recording.filter_recorder import FilterRecorder
 from fuselog.service.runner import Runner, Snapshot
 from fuselog.service.streams import learn
 from fuselog.service.threads import Worker, WorkerError

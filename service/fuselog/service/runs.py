@@ -13,7 +13,7 @@ from fuselog.fusion import Plan, compile_plan, parse_config
 from fuselog.fusion.kernel.tables import Role
 from fuselog.replay.results import Decisions, Results, read_results
 from fuselog.schemas import LogError
-from fuselog.service.view_draw import Color
+from fuselog.service.views.view_draw import Color
 
 Floats = NDArray[np.float64]
 

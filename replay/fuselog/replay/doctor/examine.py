@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from fuselog.replay.decompress import Limits
 from fuselog.replay.doctor.finding import Finding
 from fuselog.replay.doctor.topic import TopicHealth
+from fuselog.replay.mcap_file.decompress import Limits
 from fuselog.replay.recover.damage import Damage
 from fuselog.replay.recover.salvage import Salvage
 from fuselog.schemas.messages import Messages

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.replay.channels import Channel
+from fuselog.replay.log.channels import Channel
 from fuselog.schemas.codec import Codec, compile_codec, field_paths, stamp_path
 from fuselog.schemas.errors import SchemaError
 from fuselog.schemas.messages import Columns, Fault, Messages

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from fuselog.replay.channels import Channel
 from fuselog.replay.doctor.finding import Finding
 from fuselog.replay.doctor.payloads import Payloads
 from fuselog.replay.doctor.stamps import Stamps
 from fuselog.replay.doctor.timing import Timing
 from fuselog.replay.doctor.values import Values
+from fuselog.replay.log.channels import Channel
 from fuselog.schemas.messages import Fault, Messages
 
 _FEWEST = 20  # messages below which nothing is said of a rhythm

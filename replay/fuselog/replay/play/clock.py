@@ -4,7 +4,7 @@ from collections.abc import Callable, Generator, Iterable
 
 import numpy as np
 
-from fuselog.replay.channels import Channel, Schema
+from fuselog.replay.log.channels import Channel, Schema
 from fuselog.replay.play.played import Played
 from fuselog.replay.play.timeline import CommandError
 from fuselog.schemas import CdrEncoder, definition

@@ -8,8 +8,8 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from fuselog.fusion.intake import TF_STATIC, same_topic
-from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log
+from fuselog.replay.log.channels import Channel
 from fuselog.replay.play.played import Played, each
 from fuselog.schemas import Columns, Fault, SchemaError, compile_codec
 

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Literal
 
-from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log
+from fuselog.replay.log.channels import Channel
 from fuselog.replay.play.source import LogSource, Source
 from fuselog.replay.play.stamped import StampedSource, header_stamps, publish_times
 

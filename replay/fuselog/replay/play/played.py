@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from fuselog.replay.channels import Channel
+from fuselog.replay.log.channels import Channel
 from fuselog.schemas.messages import Messages
 
 _TOGETHER = 256  # messages that are taken out of their arrays at once: a tenth of a millisecond

@@ -3,8 +3,8 @@
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
-from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log
+from fuselog.replay.log.channels import Channel
 from fuselog.replay.play.timeline import CommandError
 from fuselog.replay.tracks import is_output
 from fuselog.schemas.errors import LogError

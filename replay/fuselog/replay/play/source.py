@@ -7,8 +7,8 @@ from typing import Protocol
 import numpy as np
 
 from fuselog.replay.ahead import ahead
-from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log
+from fuselog.replay.log.channels import Channel
 from fuselog.replay.play.latched import is_latched, latched_before
 from fuselog.replay.play.played import Played, each
 from fuselog.schemas.messages import Messages

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.replay.ahead import ahead
-from fuselog.replay.channels import Channel
 from fuselog.replay.log import Log
+from fuselog.replay.log.channels import Channel
 from fuselog.replay.play.latched import is_latched, is_static, newest
 from fuselog.replay.play.played import Played
 from fuselog.replay.play.source import AHEAD, chosen

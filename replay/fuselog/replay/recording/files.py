@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from fuselog.replay.channels import Channel
+from fuselog.replay.log.channels import Channel
+from fuselog.replay.mcap_file.writer import LogWriter
 from fuselog.replay.recording.options import BOUNDS, RecordOptions
-from fuselog.replay.writer import LogWriter
 from fuselog.schemas import Messages
 from fuselog.schemas.errors import FuselogError, LogError
 

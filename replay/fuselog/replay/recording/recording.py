@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.replay.channels import Channel, Schema
-from fuselog.replay.decompress import Limits
-from fuselog.replay.framing import OVERHEAD, Batch, Frames
+from fuselog.replay.log.channels import Channel, Schema
+from fuselog.replay.mcap_file.decompress import Limits
+from fuselog.replay.mcap_file.framing import OVERHEAD, Batch, Frames
 from fuselog.replay.recording.files import Names, Part, RecordingError
 from fuselog.replay.recording.latched import Latched
 from fuselog.replay.recording.ledger import Account, Ledger, Reason, total

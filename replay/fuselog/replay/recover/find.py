@@ -3,7 +3,16 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.replay.records import CHUNK, DATA_END, DATA_END_SIZE, FOOTER, FOOTER_SIZE, FRAME, Integer, read_u64
+from fuselog.replay.mcap_file.records import (
+    CHUNK,
+    DATA_END,
+    DATA_END_SIZE,
+    FOOTER,
+    FOOTER_SIZE,
+    FRAME,
+    Integer,
+    read_u64,
+)
 from fuselog.schemas.compiled import inline, kernel
 
 # Bytes that the content of a record has at least, by opcode.

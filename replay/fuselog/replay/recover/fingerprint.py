@@ -5,8 +5,8 @@ import hashlib
 import mcap.records
 import numpy as np
 
-from fuselog.replay.merge import copy_payloads
-from fuselog.replay.sink import encode
+from fuselog.replay.log.merge import copy_payloads
+from fuselog.replay.mcap_file.sink import encode
 from fuselog.schemas.messages import Messages
 
 

@@ -11,14 +11,14 @@ from typing import Any
 import mcap.records
 import numpy as np
 
-from fuselog.replay import records
-from fuselog.replay.decompress import Limits
-from fuselog.replay.framing import OVERHEAD
+from fuselog.replay.mcap_file import records
+from fuselog.replay.mcap_file.decompress import Limits
+from fuselog.replay.mcap_file.framing import OVERHEAD
+from fuselog.replay.mcap_file.writer import LogWriter
 from fuselog.replay.opening import open_log
 from fuselog.replay.recover.damage import Damage
 from fuselog.replay.recover.fingerprint import Fingerprint
 from fuselog.replay.recover.salvage import Item, Salvage
-from fuselog.replay.writer import LogWriter
 from fuselog.schemas.errors import LogError
 from fuselog.schemas.messages import Messages
 

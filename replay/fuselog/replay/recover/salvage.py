@@ -11,17 +11,17 @@ import mcap.records
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.replay import records
-from fuselog.replay.channels import Channel, Definitions, parse
-from fuselog.replay.chunks import scan_rows
-from fuselog.replay.decompress import Limits
-from fuselog.replay.mapped import map_file
-from fuselog.replay.records import FRAME
+from fuselog.replay.log.channels import Channel, Definitions, parse
+from fuselog.replay.mcap_file import records
+from fuselog.replay.mcap_file.chunks import scan_rows
+from fuselog.replay.mcap_file.decompress import Limits
+from fuselog.replay.mcap_file.mapped import map_file
+from fuselog.replay.mcap_file.records import FRAME
+from fuselog.replay.mcap_file.summary import MAGIC
+from fuselog.replay.mcap_file.walk import MessageWalk
 from fuselog.replay.recover.damage import Damage, Damages
 from fuselog.replay.recover.stretches import BEHIND, Stretch, stretches_of
 from fuselog.replay.recover.torn import TornChunks, count_indexed
-from fuselog.replay.summary import MAGIC
-from fuselog.replay.walk import MessageWalk
 from fuselog.schemas.errors import LogError
 from fuselog.schemas.messages import Messages
 

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.replay import records
-from fuselog.replay.chunks import SPAN
-from fuselog.replay.records import CHUNK, DATA_END, FOOTER, FRAME, MESSAGE
+from fuselog.replay.mcap_file import records
+from fuselog.replay.mcap_file.chunks import SPAN
+from fuselog.replay.mcap_file.records import CHUNK, DATA_END, FOOTER, FRAME, MESSAGE
+from fuselog.replay.mcap_file.summary import MAGIC
 from fuselog.replay.recover.find import begins_at, chunk_end, find_records
-from fuselog.replay.summary import MAGIC
 
 BEHIND = "bytes behind the end of the log"
 NOTHING = 0  # in place of an opcode: no record

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.replay import records
-from fuselog.replay.chunks import parse_header
-from fuselog.replay.decompress import Decompressor, Limits, TooLargeError
-from fuselog.replay.records import FRAME
+from fuselog.replay.mcap_file import records
+from fuselog.replay.mcap_file.chunks import parse_header
+from fuselog.replay.mcap_file.decompress import Decompressor, Limits, TooLargeError
+from fuselog.replay.mcap_file.records import FRAME
 from fuselog.replay.recover.blocks import unpack_blocks
 from fuselog.replay.recover.damage import Damage
 from fuselog.replay.recover.stretches import CUT, Stretch

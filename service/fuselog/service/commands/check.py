@@ -8,7 +8,7 @@ import typer
 from fuselog.service.limits import with_limits
 
 if TYPE_CHECKING:
-    from fuselog.replay.decompress import Limits
+    from fuselog.replay.mcap_file.decompress import Limits
 
 
 @with_limits

@@ -9,8 +9,8 @@ from fuselog.service.console import print_json, printable
 from fuselog.service.limits import with_limits
 
 if TYPE_CHECKING:
-    from fuselog.replay.decompress import Limits
     from fuselog.replay.doctor import Finding
+    from fuselog.replay.mcap_file.decompress import Limits
 
 _COLUMNS = (
     ("messages", "messages", "d"),

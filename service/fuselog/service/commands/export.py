@@ -78,7 +78,7 @@ def _split(values: list[str] | None) -> list[str]:
 
 def _choose(log: "Log", wanted: list[str], fields: list[str], format: Format) -> tuple[list[str], dict[str, str]]:
     """The topics to write, and those that cannot be, with the reason; one that was asked for by name is an error."""
-    from fuselog.replay.tables import TableDecoder  # noqa: PLC0415  slow to import
+    from fuselog.replay.log.tables import TableDecoder  # noqa: PLC0415  slow to import
     from fuselog.replay.trajectory import is_pose  # noqa: PLC0415  slow to import
     from fuselog.schemas import LogError, SchemaError  # noqa: PLC0415  slow to import
 

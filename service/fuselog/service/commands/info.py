@@ -8,7 +8,7 @@ from fuselog.service.console import print_json, printable
 from fuselog.service.limits import with_limits
 
 if TYPE_CHECKING:
-    from fuselog.replay.decompress import Limits
+    from fuselog.replay.mcap_file.decompress import Limits
 
 
 @with_limits
@@ -20,8 +20,8 @@ def info(
 ) -> None:
     """Read whole logs; list topics with types, counts, rates and gaps, and everything that is damaged."""
     from fuselog.replay import open_log  # noqa: PLC0415  slow to import
-    from fuselog.replay.file_layout import describe  # noqa: PLC0415  slow to import
-    from fuselog.replay.mcap_file import McapFile  # noqa: PLC0415  slow to import
+    from fuselog.replay.mcap_file.file import McapFile  # noqa: PLC0415  slow to import
+    from fuselog.replay.mcap_file.file_layout import describe  # noqa: PLC0415  slow to import
     from fuselog.replay.survey import survey  # noqa: PLC0415  slow to import
 
     with open_log(*logs, limits=limits) as opened:

@@ -9,9 +9,9 @@ from fuselog.service.console import print_json, stderr
 from fuselog.service.limits import with_limits
 
 if TYPE_CHECKING:
-    from fuselog.replay.decompress import Limits
+    from fuselog.replay.mcap_file.decompress import Limits
     from fuselog.replay.play import Status
-    from fuselog.service.player import Report
+    from fuselog.service.play.player import Report
 
 Logs = Annotated[list[str], typer.Argument(metavar="LOG...", help="The logs to play, several as one.")]
 Names = list[str] | None
@@ -77,8 +77,8 @@ def play(
     from fuselog.replay import open_log  # noqa: PLC0415  slow to import
     from fuselog.replay.play import CommandError, checked_rate, playable, source_of  # noqa: PLC0415  slow to import
     from fuselog.replay.play import remap as names_of  # noqa: PLC0415  slow to import
-    from fuselog.service.control import player_name  # noqa: PLC0415  slow to import
-    from fuselog.service.playing import Commands, Pace, clock_rate, range_of, run  # noqa: PLC0415  slow to import
+    from fuselog.service.play.control import player_name  # noqa: PLC0415  slow to import
+    from fuselog.service.play.playing import Commands, Pace, clock_rate, range_of, run  # noqa: PLC0415  slow to import
     from fuselog.service.transport import Endpoints, visitor_endpoints  # noqa: PLC0415  slow to import
 
     at = visitor_endpoints(load_config(config)[0].zenoh) if config is not None else Endpoints()

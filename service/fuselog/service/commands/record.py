@@ -52,9 +52,9 @@ def record(
     """
     from fuselog.fusion import load_config  # noqa: PLC0415  slow to import
     from fuselog.replay.recording import Recording  # noqa: PLC0415  slow to import
-    from fuselog.service.record import options_of, status_json  # noqa: PLC0415  slow to import
-    from fuselog.service.record import record as run  # noqa: PLC0415  slow to import
-    from fuselog.service.selection import Selection, expressions  # noqa: PLC0415  slow to import
+    from fuselog.service.recording.record import options_of, status_json  # noqa: PLC0415  slow to import
+    from fuselog.service.recording.record import record as run  # noqa: PLC0415  slow to import
+    from fuselog.service.recording.selection import Selection, expressions  # noqa: PLC0415  slow to import
     from fuselog.service.streams import stream_types  # noqa: PLC0415  slow to import
     from fuselog.service.transport import Endpoints, open_session, visitor_endpoints  # noqa: PLC0415  slow to import
 

@@ -9,7 +9,7 @@ from fuselog.service.console import print_json, printable
 from fuselog.service.limits import with_limits
 
 if TYPE_CHECKING:
-    from fuselog.replay.decompress import Limits
+    from fuselog.replay.mcap_file.decompress import Limits
     from fuselog.replay.recover import Recovery
 
 

@@ -9,7 +9,7 @@ from fuselog.service.console import print_json, progress, stderr
 from fuselog.service.limits import with_limits
 
 if TYPE_CHECKING:
-    from fuselog.replay.decompress import Limits
+    from fuselog.replay.mcap_file.decompress import Limits
 
 
 @with_limits
@@ -53,7 +53,7 @@ def reprocess(
         else:
             summary = reprocess_to(opened, plan, output, order=order, advance=advance)
     if rrd is not None and output is not None:
-        from fuselog.service.view import write_recording  # noqa: PLC0415  slow to import
+        from fuselog.service.views.view import write_recording  # noqa: PLC0415  slow to import
 
         with open_log(*logs) as again:
             write_recording(rrd, outs=[output], log=again)

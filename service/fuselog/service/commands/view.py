@@ -21,8 +21,8 @@ def view(
     save_only: Annotated[bool, typer.Option("--save-only", help="Do not open the viewer.")] = False,
 ) -> None:
     """Write a Rerun recording of output logs and open it."""
-    from fuselog.service.view import write_recording  # noqa: PLC0415  slow to import
-    from fuselog.service.viewer import open_viewer  # noqa: PLC0415
+    from fuselog.service.views.view import write_recording  # noqa: PLC0415  slow to import
+    from fuselog.service.views.viewer import open_viewer  # noqa: PLC0415
 
     recording = output or outs[0].with_suffix(".rrd")
     write_recording(recording, outs=outs, log=log, truth=truth)
