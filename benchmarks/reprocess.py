@@ -22,6 +22,7 @@ from tests.logs import imu, odometry, write_log
 
 from fuselog.fusion import compile_plan, parse_config
 from fuselog.replay import open_log, reprocess_to
+from fuselog.service.memory import keep_freed_memory
 
 CONFIG = """\
 fuselog: 1
@@ -70,7 +71,8 @@ def make_log(path: Path, count: int) -> None:
 
 
 def run(log: Path, order: str, rate: str, out: Path, profile: str) -> None:
-    """One run in a process of its own, after a short one that loads the kernels."""
+    """One run in a process of its own, as the command has it, after a short one that loads the kernels."""
+    keep_freed_memory()
     plan = compile_plan(*parse_config(CONFIG.replace("RATE", rate)))
     with open_log(log.with_name("short.mcap")) as short:
         reprocess_to(short, plan, out, order=order)

@@ -7,6 +7,7 @@ import typer
 
 from fuselog.service.console import print_json, progress, stderr
 from fuselog.service.limits import with_limits
+from fuselog.service.memory import keep_freed_memory
 
 if TYPE_CHECKING:
     from fuselog.replay.mcap_file.decompress import Limits
@@ -47,6 +48,7 @@ def reprocess(
     plan = load_plan(config)
     if smooth and plan.config.gain.mode != "optimal":
         stderr.print(f"smoothing with the optimal gain; gain.mode {plan.config.gain.mode} is not used")
+    keep_freed_memory()
     with open_log(*logs, limits=limits) as opened, progress("smoothing" if smooth else "fusing") as advance:
         if smooth:
             summary = smooth_to(opened, plan, output, spill=spill, advance=advance)
