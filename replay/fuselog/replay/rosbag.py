@@ -18,7 +18,7 @@ from fuselog.replay.log.merge import Piece
 from fuselog.replay.log.part import Attachment
 from fuselog.replay.log.selection import END, Selection
 from fuselog.schemas.errors import LogError
-from fuselog.schemas.messages import Messages
+from fuselog.schemas.messages import Messages, pack
 
 _SLICE = 4096  # messages that are read together, if they come evenly
 
@@ -190,12 +190,12 @@ def _types(connection: Connection) -> Typestore:
 def _messages(rows: list[_Row]) -> Messages:
     """The rows over one buffer."""
     ids, times, payloads = cast(tuple[tuple[int, ...], tuple[int, ...], tuple[bytes, ...]], zip(*rows, strict=True))
-    length = np.array([len(payload) for payload in payloads], np.int64)
+    data, start, length = pack(payloads)
     log_time = np.array(times, np.int64)
     return Messages(
         stream=np.array(ids, np.int32),
-        data=np.frombuffer(b"".join(payloads), np.uint8),
-        start=np.cumsum(length) - length,
+        data=data,
+        start=start,
         length=length,
         log_time=log_time,
         publish_time=log_time,

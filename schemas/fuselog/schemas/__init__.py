@@ -1,11 +1,11 @@
 """Message definitions; bytes to columns, columns to bytes."""
 
 from fuselog.schemas.catalogue import definition, known_definitions
-from fuselog.schemas.codec import Codec, compile_codec, field_paths, layout, stamp_path
+from fuselog.schemas.codec import Codec, MessageType, compile_codec, field_paths, layout, stamp_path
 from fuselog.schemas.encode import CdrEncoder
 from fuselog.schemas.errors import ConfigError, FuselogError, LogError, SchemaError
 from fuselog.schemas.layout import ColumnKind, Layout
-from fuselog.schemas.messages import Columns, Fault, Messages, Ragged
+from fuselog.schemas.messages import Columns, Fault, Messages, Ragged, pack
 
 __all__ = [
     "CdrEncoder",
@@ -17,6 +17,7 @@ __all__ = [
     "FuselogError",
     "Layout",
     "LogError",
+    "MessageType",
     "Messages",
     "Ragged",
     "SchemaError",
@@ -25,5 +26,6 @@ __all__ = [
     "field_paths",
     "known_definitions",
     "layout",
+    "pack",
     "stamp_path",
 ]

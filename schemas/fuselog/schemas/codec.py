@@ -1,7 +1,7 @@
 """The choice of decoder: what a channel says of its encoding, once, into something that decodes batches."""
 
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from typing import Final, Protocol, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,15 @@ from fuselog.schemas.messages import Columns
 from fuselog.schemas.paths import guess_stamp, list_paths
 from fuselog.schemas.ros2msg import parse_ros2msg
 from fuselog.schemas.tree import Node
+
+
+class MessageType(TypedDict):
+    """What a channel says of its messages: how they are encoded, and their definition."""
+
+    encoding: str
+    schema_encoding: str
+    schema_name: str
+    schema_text: str | bytes
 
 
 class Codec(Protocol):

@@ -1,5 +1,6 @@
 """Raw messages and decoded columns: the two shapes in which data enter fuselog."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -46,6 +47,12 @@ class Messages:
             publish_time=self.publish_time[key],
             sequence=self.sequence[key],
         )
+
+
+def pack(payloads: Sequence[bytes]) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+    """``data``, ``start`` and ``length`` of `Messages`: the payloads one after another, in read-only memory."""
+    length = np.fromiter(map(len, payloads), np.int64, len(payloads))
+    return np.frombuffer(b"".join(payloads), np.uint8), np.cumsum(length) - length, length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

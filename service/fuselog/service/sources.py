@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fuselog.schemas import Messages
+from fuselog.schemas import Messages, pack
 from fuselog.service.inbox import Arrival
 from fuselog.service.wire import UNTAGGED, Tag, read_tag
 
@@ -98,11 +98,11 @@ class Sources:
 
 def _messages(rows: Sequence[tuple[int, int, int]], payloads: Sequence[bytes]) -> Messages:
     table = np.array(rows, np.int64).reshape(-1, 3)
-    length = np.fromiter(map(len, payloads), np.int64, len(payloads))
+    data, start, length = pack(payloads)
     return Messages(
         stream=table[:, 0].astype(np.int32),
-        data=np.frombuffer(b"".join(payloads), np.uint8),
-        start=np.cumsum(length) - length,
+        data=data,
+        start=start,
         length=length,
         log_time=table[:, 1].copy(),
         publish_time=table[:, 1].copy(),

@@ -4,7 +4,7 @@ import numpy as np
 
 from fuselog.fusion import Filter, FixedLag, Outputs, Plan, Stream, compile_plan, parse_config
 from fuselog.fusion.intake import Intake
-from fuselog.schemas import CdrEncoder, Messages, definition
+from fuselog.schemas import CdrEncoder, Messages, definition, pack
 
 _KIND = "geometry_msgs/msg/PoseStamped"
 _SIMPLEST = """\
@@ -37,12 +37,12 @@ def _decode_one() -> None:
 def _messages(payloads: list[bytes]) -> Messages:
     """Messages of stream 0, in read-only memory as those of Zenoh are."""
     n = len(payloads)
-    length = np.array([len(payload) for payload in payloads], np.int64)
+    data, start, length = pack(payloads)
     times = np.ones(n, np.int64)
     return Messages(
         stream=np.zeros(n, np.int32),
-        data=np.frombuffer(b"".join(payloads), np.uint8),
-        start=np.cumsum(length) - length,
+        data=data,
+        start=start,
         length=length,
         log_time=times,
         publish_time=times,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.schemas import Codec, Messages, compile_codec, field_paths, stamp_path
+from fuselog.schemas import Codec, Messages, MessageType, compile_codec, field_paths, stamp_path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,7 +33,7 @@ class Stream:
         """The decoder of these fields; raises ``SchemaError`` where the messages do not have them."""
         return compile_codec(**self._description(), fields=fields, stamp=stamp)
 
-    def _description(self) -> dict[str, str]:
+    def _description(self) -> MessageType:
         return {
             "encoding": self.encoding,
             "schema_encoding": self.schema_encoding,

@@ -1,7 +1,6 @@
 """The payloads of one channel: whether they are what their schema says, and the numbers in them."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,6 @@ class Payloads:
     """Decodes the floating-point fields of a channel; ``refused`` says why that cannot be, if it cannot."""
 
     def __init__(self, channel: Channel) -> None:
-        schema = channel.schema
         self.refused: tuple[str, str] | None = None  # code of a finding, reason
         self.has_stamp = False
         self.faults = {Fault.SIZE: 0, Fault.SCHEMA: 0}
@@ -30,12 +28,7 @@ class Payloads:
         self.first_too_long: int | None = None  # log time
         self._codec: Codec | None = None
         self._frame: Codec | None = None
-        about: dict[str, Any] = {
-            "encoding": channel.encoding,
-            "schema_encoding": schema.encoding,
-            "schema_name": schema.name,
-            "schema_text": schema.data,
-        }
+        about = channel.message_type
         try:
             stamp = stamp_path(**about)
             fields = _float_fields(field_paths(**about), stamp)

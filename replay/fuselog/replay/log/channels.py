@@ -11,6 +11,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 
 from fuselog.replay.mcap_file import records
+from fuselog.schemas import MessageType
 
 _Record = TypeVar("_Record")
 
@@ -34,6 +35,16 @@ class Channel:
     encoding: str  # of the messages: "cdr", "json", "protobuf", ...
     metadata: dict[str, str]
     count: int | None  # messages, as the statistics of the file say; None when they do not
+
+    @property
+    def message_type(self) -> MessageType:
+        """What its messages are, as decoders ask for it."""
+        return {
+            "encoding": self.encoding,
+            "schema_encoding": self.schema.encoding,
+            "schema_name": self.schema.name,
+            "schema_text": self.schema.data,
+        }
 
 
 def parse(read: Callable[[ReadDataStream], _Record], content: bytes) -> _Record:

@@ -93,19 +93,5 @@ class _Growing:
 
 
 def _compile(channel: Channel, fields: Sequence[str], stamp: str | None) -> tuple[Codec, bool]:
-    encoding, schema = channel.encoding, channel.schema
-    found = stamp or stamp_path(
-        encoding=encoding,
-        schema_encoding=schema.encoding,
-        schema_name=schema.name,
-        schema_text=schema.data,
-    )
-    codec = compile_codec(
-        encoding=encoding,
-        schema_encoding=schema.encoding,
-        schema_name=schema.name,
-        schema_text=schema.data,
-        fields=fields,
-        stamp=found,
-    )
-    return codec, found is not None
+    found = stamp or stamp_path(**channel.message_type)
+    return compile_codec(**channel.message_type, fields=fields, stamp=found), found is not None

@@ -106,15 +106,7 @@ class _Decoder:
                 lists.append(path)
             else:
                 fields.append(path)
-        self._codec = compile_codec(
-            encoding=channel.encoding,
-            schema_encoding=channel.schema.encoding,
-            schema_name=channel.schema.name,
-            schema_text=channel.schema.data,
-            fields=fields,
-            stamp=None,
-            lists=lists,
-        )
+        self._codec = compile_codec(**channel.message_type, fields=fields, stamp=None, lists=lists)
 
     def decode(self, messages: Messages) -> Table:
         """All of these messages."""

@@ -11,7 +11,7 @@ from fuselog.fusion.intake import TF_STATIC, same_topic
 from fuselog.replay.log import Log
 from fuselog.replay.log.channels import Channel
 from fuselog.replay.play.played import Played, each
-from fuselog.schemas import Columns, Fault, SchemaError, compile_codec
+from fuselog.schemas import Columns, Fault, SchemaError, compile_codec, pack
 
 _TRANSIENT_LOCAL = ("transient_local", 1, "1")
 _FIRST_LOOK_NS = 10_000_000_000
@@ -99,20 +99,10 @@ def _subjects(messages: Sequence[Played]) -> list[object]:
 def _child_frames(messages: Sequence[Played]) -> list[tuple[str, ...] | None]:
     """The child frames of each message of one channel; None where they cannot be read, or are too many."""
     channel = messages[0].channel
-    data = np.frombuffer(b"".join(played.payload for played in messages), np.uint8)
-    length = np.array([len(played.payload) for played in messages], np.int64)
-    start = np.cumsum(length) - length
+    data, start, length = pack([played.payload for played in messages])
 
     def decode(fields: Sequence[str]) -> Columns:
-        codec = compile_codec(
-            encoding=channel.encoding,
-            schema_encoding=channel.schema.encoding,
-            schema_name=channel.schema.name,
-            schema_text=channel.schema.data,
-            fields=fields,
-            stamp=None,
-        )
-        return codec.decode(data, start, length)
+        return compile_codec(**channel.message_type, fields=fields, stamp=None).decode(data, start, length)
 
     try:
         counted = decode(["transforms[]"])

@@ -44,21 +44,9 @@ def header_stamps(channels: Sequence[Channel]) -> Times:
 
 def _stamp_codec(channel: Channel) -> Codec | None:
     """What decodes the stamp; None for a type that has none, or that cannot be decoded."""
-    encoding, schema = channel.encoding, channel.schema
     try:
-        stamp = stamp_path(
-            encoding=encoding, schema_encoding=schema.encoding, schema_name=schema.name, schema_text=schema.data
-        )
-        if stamp is None:
-            return None
-        return compile_codec(
-            encoding=encoding,
-            schema_encoding=schema.encoding,
-            schema_name=schema.name,
-            schema_text=schema.data,
-            fields=[],
-            stamp=stamp,
-        )
+        stamp = stamp_path(**channel.message_type)
+        return None if stamp is None else compile_codec(**channel.message_type, fields=[], stamp=stamp)
     except SchemaError:
         return None
 

@@ -5,7 +5,7 @@ from collections.abc import Collection
 import numpy as np
 
 from fuselog.fusion.intake import same_topic
-from fuselog.schemas import Messages
+from fuselog.schemas import Messages, pack
 
 _MOST = 256
 _MOST_BYTES = 1 << 20
@@ -45,12 +45,12 @@ class Latched:
         if not self._kept:
             return None
         payloads = [payload for _, payload in self._kept]
-        length = np.array([len(payload) for payload in payloads], np.int64)
+        data, start, length = pack(payloads)
         said = np.array(list(self._kept.values()), np.int64)
         return Messages(
             stream=np.array([channel for channel, _ in self._kept], np.int32),
-            data=np.frombuffer(b"".join(payloads), np.uint8),
-            start=np.cumsum(length) - length,
+            data=data,
+            start=start,
             length=length,
             log_time=np.full(len(payloads), log_time, np.int64),
             publish_time=said[:, 0].copy(),

@@ -1,16 +1,14 @@
 """``fuselog record``: Zenoh into a log."""
 
 import re
-import signal
-import threading
 import time
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fuselog.service.console import print_json, stderr
+from fuselog.service.signals import stop_and_snapshot
 
 if TYPE_CHECKING:
     from fuselog.fusion.config.settings import RecordSettings
@@ -75,7 +73,7 @@ def record(
     if connect or listen or config is None:
         default = [] if listen else ["tcp/127.0.0.1:7447"]
         at = Endpoints(mode=mode, listen=listen or [], connect=connect or default)
-    stop, wanted = _signals()
+    stop, wanted = stop_and_snapshot()
     with open_session(at, timeout_s=10.0) as session:
         recording = Recording(output, options_of(settings))
         stderr.print(f"recording {', '.join(selection.keys)} from {', '.join([*at.listen, *at.connect])}")
@@ -123,24 +121,6 @@ def _pattern(text: str) -> re.Pattern[str]:
         return re.compile(text)
     except re.error as error:
         raise typer.BadParameter(str(error), param_hint="--regex") from error
-
-
-def _signals() -> tuple[threading.Event, threading.Event]:
-    """Events that SIGINT and SIGTERM, and SIGUSR1, set; a second SIGINT or SIGTERM interrupts."""
-    stop, snapshot = threading.Event(), threading.Event()
-
-    def end(_number: int, _frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    def ask(_number: int, _frame: FrameType | None) -> None:
-        snapshot.set()
-
-    signal.signal(signal.SIGTERM, end)
-    signal.signal(signal.SIGINT, end)
-    signal.signal(signal.SIGUSR1, ask)
-    return stop, snapshot
 
 
 def _print(status: dict[str, Any], seconds: float) -> None:

@@ -1,14 +1,12 @@
 """``fuselog serve``: a filter on live data."""
 
-import signal
-import threading
 from pathlib import Path
-from types import FrameType
 from typing import Annotated
 
 import typer
 
 from fuselog.service.console import stderr
+from fuselog.service.signals import stop_and_snapshot
 
 
 def serve(
@@ -28,19 +26,7 @@ def serve(
     from fuselog.service.transport import service_endpoints  # noqa: PLC0415  slow to import
 
     plan = load_plan(config)
-    stop, snapshot = threading.Event(), threading.Event()
-
-    def end(_number: int, _frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    def ask(_number: int, _frame: FrameType | None) -> None:
-        snapshot.set()
-
-    signal.signal(signal.SIGUSR1, ask)
-    signal.signal(signal.SIGTERM, end)
-    signal.signal(signal.SIGINT, end)
+    stop, snapshot = stop_and_snapshot()
     at = service_endpoints(plan.config.zenoh)
     where = ", ".join([*at.listen, *at.connect])
     run(

@@ -9,7 +9,7 @@ import numpy as np
 import zenoh
 
 from fuselog.replay.recording import Recording
-from fuselog.schemas import Messages
+from fuselog.schemas import Messages, pack
 from fuselog.service.recording.declared import Declared
 from fuselog.service.recording.selection import Selection
 from fuselog.service.recording.spool import Arrived
@@ -152,11 +152,11 @@ class SampledStreams:
 
 def _messages(rows: Sequence[tuple[int, int, int, int]], payloads: Sequence[bytes]) -> Messages:
     table = np.array(rows, np.int64).reshape(-1, 4)
-    length = np.fromiter(map(len, payloads), np.int64, len(payloads))
+    data, start, length = pack(payloads)
     return Messages(
         stream=table[:, 0].astype(np.int32),
-        data=np.frombuffer(b"".join(payloads), np.uint8),
-        start=np.cumsum(length) - length,
+        data=data,
+        start=start,
         length=length,
         log_time=table[:, 1].copy(),
         publish_time=table[:, 2].copy(),
