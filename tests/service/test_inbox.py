@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import zenoh
 
-from fuselog.service.inbox import Inbox
+from fuselog.service.live.inbox import Inbox
 
 
 class Sample:

@@ -5,8 +5,8 @@ from typing import Any, cast
 import numpy as np
 import zenoh
 
-from fuselog.service.inbox import Arrival
-from fuselog.service.sources import Progress, Sources
+from fuselog.service.live.inbox import Arrival
+from fuselog.service.live.sources import Progress, Sources
 from fuselog.service.wire import Tag, write_tag
 
 A, B = b"a" * 16, b"b" * 16

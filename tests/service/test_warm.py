@@ -10,8 +10,8 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from fuselog.fusion import Filter, Outputs, Stream, compile_plan, parse_config
 from fuselog.schemas import CdrEncoder, definition
-from fuselog.service.sources import _messages
-from fuselog.service.warm import warm_up
+from fuselog.service.live.sources import _messages
+from fuselog.service.live.warm import warm_up
 
 def signatures():
     modules = list(sys.modules.values())

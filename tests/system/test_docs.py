@@ -13,8 +13,8 @@ from fuselog.fusion import compile_plan, parse_config
 from fuselog.fusion.config import settings
 from fuselog.fusion.kernel.cache import model_card
 from fuselog.fusion.kernel.declared import MODEL_NAMES, find_model
-from fuselog.service.api import create_app
 from fuselog.service.cli import make_app
+from fuselog.service.rest.api import create_app
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

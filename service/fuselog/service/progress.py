@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import orjson
 import zenoh
 
-from fuselog.service.sources import Progress
+from fuselog.service.live.sources import Progress
 from fuselog.service.zenoh_door import answer, ask
 
 _PATIENCE_S = 2.0

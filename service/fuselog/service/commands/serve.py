@@ -22,7 +22,7 @@ def serve(
     SIGUSR1 writes a snapshot, where the configuration keeps one (record: snapshot).
     """
     from fuselog.fusion import load_plan  # noqa: PLC0415  slow to import
-    from fuselog.service.serving import serve as run  # noqa: PLC0415  slow to import
+    from fuselog.service.live.serving import serve as run  # noqa: PLC0415  slow to import
     from fuselog.service.transport import service_endpoints  # noqa: PLC0415  slow to import
 
     plan = load_plan(config)

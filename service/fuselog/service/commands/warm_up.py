@@ -13,7 +13,7 @@ def warm_up(
 ) -> None:
     """Compile all that these configurations need, into the cache that later runs use (FUSELOG_CACHE_DIR)."""
     from fuselog.fusion import load_plan  # noqa: PLC0415  slow to import
-    from fuselog.service.warm import warm_up as compile_all  # noqa: PLC0415  slow to import
+    from fuselog.service.live.warm import warm_up as compile_all  # noqa: PLC0415  slow to import
 
     for path in config:
         compile_all(load_plan(path))

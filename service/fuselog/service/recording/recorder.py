@@ -14,11 +14,11 @@ from fuselog.fusion import Output
 from fuselog.replay import Schema
 from fuselog.replay.recording import Recording, RecordingStatus
 from fuselog.schemas import Messages
+from fuselog.service.live.sources import Progress
 from fuselog.service.recording.declared import OUTPUT
 from fuselog.service.recording.sampled import Describe, Sampled, SampledStreams
 from fuselog.service.recording.selection import Selection
 from fuselog.service.recording.spool import Arrived, Spool
-from fuselog.service.sources import Progress
 from fuselog.service.threads import Worker
 
 _GATHER_S = 0.02  # writing many messages at once costs little more than writing one

@@ -10,10 +10,10 @@ import zenoh
 
 from fuselog.replay.recording import Recording
 from fuselog.schemas import Messages, pack
+from fuselog.service.live.sources import Progress
 from fuselog.service.recording.declared import Declared
 from fuselog.service.recording.selection import Selection
 from fuselog.service.recording.spool import Arrived
-from fuselog.service.sources import Progress
 from fuselog.service.wire import UNTAGGED, Tag, read_tag
 from fuselog.service.zenoh_door import sent_ns
 

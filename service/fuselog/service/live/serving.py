@@ -5,9 +5,9 @@ from collections.abc import Callable
 from socket import socket
 
 from fuselog.fusion import Plan
-from fuselog.service.api import LOOPBACK, Look, create_app
-from fuselog.service.http import HttpServer, bind, is_loopback, refuse_exposure
-from fuselog.service.live import LiveFilter, check_topics
+from fuselog.service.live.live_filter import LiveFilter, check_topics
+from fuselog.service.rest.api import LOOPBACK, Look, create_app
+from fuselog.service.rest.http import HttpServer, bind, is_loopback, refuse_exposure
 from fuselog.service.threads import Worker, WorkerError
 from fuselog.service.transport import open_session, service_endpoints
 

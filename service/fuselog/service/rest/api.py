@@ -11,7 +11,8 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException as StarletteHTTPException
 
-from fuselog.service.answers import (
+from fuselog.service.live.runner import Snapshot
+from fuselog.service.rest.answers import (
     FiltersAnswer,
     HealthAnswer,
     Probe,
@@ -21,7 +22,6 @@ from fuselog.service.answers import (
     health_answer,
     state_answer,
 )
-from fuselog.service.runner import Snapshot
 
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 

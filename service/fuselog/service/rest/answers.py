@@ -8,8 +8,8 @@ from pydantic import BaseModel, Field
 from fuselog.fusion.health import Health, Losses, SensorHealth
 from fuselog.fusion.report import estimate_json
 from fuselog.replay.recording import RecordingStatus
+from fuselog.service.live.runner import Snapshot
 from fuselog.service.recording.record import status_json
-from fuselog.service.runner import Snapshot
 
 Status = Literal["ok", "degraded", "waiting"]
 Number = float | None  # JSON has neither NaN nor infinity

@@ -7,9 +7,9 @@ from fuselog.fusion import Estimate, Filter, Ledger, Outputs, Plan, Track, join_
 from fuselog.fusion.health import Health, Losses, Recent, assess, no_samples, remember
 from fuselog.fusion.intake import same_topic
 from fuselog.replay.recording import RecordingStatus
-from fuselog.service.inbox import Inbox
-from fuselog.service.outbox import Outbox
-from fuselog.service.sources import Progress, Sources
+from fuselog.service.live.inbox import Inbox
+from fuselog.service.live.outbox import Outbox
+from fuselog.service.live.sources import Progress, Sources
 from fuselog.service.streams import Learn, Streams, stream_types
 
 _LOOK_EVERY_S = 0.02  # how old a snapshot may be

@@ -11,14 +11,14 @@ import zenoh
 
 from fuselog.fusion import Outputs, Plan
 from fuselog.fusion.config import Problem
-from fuselog.service.outbox import Outbox
+from fuselog.service.live.outbox import Outbox
+from fuselog.service.live.runner import Runner, Snapshot
+from fuselog.service.live.warm import warm_up
 from fuselog.service.progress import answer_progress
 from fuselog.service.recording.filter_recorder import FilterRecorder
-from fuselog.service.runner import Runner, Snapshot
 from fuselog.service.streams import learn
 from fuselog.service.threads import Worker, WorkerError
 from fuselog.service.transport import TransportError, key_of
-from fuselog.service.warm import warm_up
 from fuselog.service.zenoh_door import subscribe
 
 _PUBLISH_S = 10.0  # for what is left at the end

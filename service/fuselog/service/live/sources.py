@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fuselog.schemas import Messages, pack
-from fuselog.service.inbox import Arrival
+from fuselog.service.live.inbox import Arrival
 from fuselog.service.wire import UNTAGGED, Tag, read_tag
 
 _MOST_SOURCES = 4096

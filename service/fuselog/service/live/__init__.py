@@ -1,0 +1,1 @@
+"""The live service: samples from Zenoh through filters to Zenoh."""
