@@ -1,0 +1,46 @@
+"""What the REST interface is given to answer from, and to hand commands to."""
+
+from collections.abc import Mapping
+from typing import Literal, Protocol
+
+from fuselog.fusion import Estimate
+from fuselog.fusion.commands import Command
+from fuselog.replay.recording import RecordingStatus
+from fuselog.service.live.runner import Snapshot
+
+
+class Served(Protocol):
+    """The filters of a service. Methods may be called on any thread; those that wait say so."""
+
+    def snapshots(self) -> Mapping[str, Snapshot]:
+        """The newest snapshot of every filter, by id."""
+        ...
+
+    def ended(self) -> Mapping[str, Snapshot]:
+        """The last snapshot of filters that expired, by id."""
+        ...
+
+    def estimate_at(self, id: str, t_ns: int) -> Estimate:
+        """The estimate at a time in the lag window, or predicted from its end; waits for the filter.
+
+        Raises ``KeyError`` for an unknown filter, ``CommandError`` for a time that the filter does not cover.
+        """
+        ...
+
+    def command(self, id: str, command: Command) -> None:
+        """Give a filter a command and wait until it has followed it.
+
+        Raises ``KeyError``, and ``CommandError`` or ``ConfigError`` where it cannot.
+        """
+        ...
+
+    def reload(self) -> list[str]:
+        """Read the configuration files again; what was done, in words. Raises ``ConfigError``: all is as it was."""
+        ...
+
+    def record(self, id: str, what: Literal["start", "stop", "snapshot"]) -> RecordingStatus:
+        """Start, stop, or write a snapshot of the recording of a filter.
+
+        Raises ``KeyError``, and ``CommandError`` where the configuration has none.
+        """
+        ...
