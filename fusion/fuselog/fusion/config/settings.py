@@ -371,11 +371,18 @@ class RecordSettings(Settings):
     latched: list[str] = Field(default_factory=lambda: ["/tf_static"], description="topics repeated in every file")
 
 
+class FleetSettings(Settings):
+    """Filters that topics with captures make, such as fleet/{robot}/imu: one for each name."""
+
+    most: Annotated[int, Field(ge=1, le=10_000)] = Field(100, description="filters at a time")
+    expire: Annotated[Seconds, Field(gt=0)] = Field(60.0, description="silence of all its topics that ends a filter")
+
+
 class Config(Settings):
     """One filter: model, start, gain, sensors, and where its results go."""
 
     version: Literal[1] = Field(alias="fuselog")
-    id: str = Field("filter", pattern=r"^[A-Za-z0-9_.-]{1,64}$")
+    id: str = Field("filter", pattern=r"^[A-Za-z0-9_.{}-]{1,64}$")
     model: Annotated[ModelSettings, BeforeValidator(_named)]
     filter: Annotated[FilterSettings, BeforeValidator(_of_kind)] = FilterSettings.model_validate({})
     initial: InitialSettings = InitialSettings.model_validate({})
@@ -388,3 +395,4 @@ class Config(Settings):
     zenoh: ZenohSettings = ZenohSettings.model_validate({})
     http: HttpSettings = HttpSettings()
     record: RecordSettings | None = Field(None, description="of a live service; by default nothing is recorded")
+    fleet: FleetSettings = FleetSettings.model_validate({})

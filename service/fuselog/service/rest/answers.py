@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field
 from fuselog.fusion.health import Health, Losses, SensorHealth
 from fuselog.fusion.report import estimate_json
 from fuselog.replay.recording import RecordingStatus
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 from fuselog.service.recording.record import status_json
 
 Status = Literal["ok", "degraded", "waiting"]
