@@ -27,7 +27,7 @@ def serve(
 
     plan = load_plan(config)
     stop, snapshot = stop_and_snapshot()
-    at = service_endpoints(plan.config.zenoh)
+    at = service_endpoints(plan.config.zenoh, plan.source)
     where = ", ".join([*at.listen, *at.connect])
     run(
         plan,

@@ -45,7 +45,7 @@ def serve(
         server = HttpServer(app, listener)
         answering = Worker("HTTP server", server.run, stop.set)
         try:
-            with open_session(service_endpoints(plan.config.zenoh), timeout_s=_CONNECT_S) as session:
+            with open_session(service_endpoints(plan.config.zenoh, plan.source), timeout_s=_CONNECT_S) as session:
                 live = LiveFilter(plan, session, ended=stop.set, snapshot=snapshot)
                 looks[plan.config.id], filters[plan.config.id] = live.snapshot, live
                 started(_address(listener))
