@@ -277,6 +277,9 @@ class SensorSettings(Settings):
 
     topic: str = Field(min_length=1)
     type: str | None = Field(None, description="message type; by default as the log or the publisher says")
+    reliable: bool = Field(
+        False, description="live: ask publishers that keep their samples for those missed, and for those before us"
+    )
     kind: Literal[
         "state", "linear", "polar", "beacon_range", "magnetometer", "pressure", "constant", "zero_velocity", "input"
     ] = "state"
@@ -338,6 +341,16 @@ class SmoothSettings(Settings):
     rate: Positive = Field(10.0, description="most estimates per second of event time")
 
 
+class TlsSettings(Settings):
+    """Certificates (PEM) for endpoints of tls/ and quic/; paths are from the folder of the configuration."""
+
+    ca: str = Field(min_length=1, description="file: who may have signed the other side's certificate")
+    certificate: str | None = Field(None, description="file: our own, which both listening and connecting show")
+    key: str | None = Field(None, description="file that others cannot read: the certificate's private key")
+    mutual: bool = Field(True, description="who connects shows a certificate too")
+    verify_name: bool = Field(True, description="connect only where the certificate is for the endpoint's host")
+
+
 class ZenohSettings(Settings):
     """How the service meets others. The default listens on loopback only and looks for nobody."""
 
@@ -345,6 +358,19 @@ class ZenohSettings(Settings):
     listen: list[str] = Field(default_factory=lambda: ["tcp/127.0.0.1:7447"])
     connect: list[str] = Field(default_factory=list)
     multicast: bool = False
+    tls: TlsSettings | None = Field(None, description="for endpoints tls/HOST:PORT and quic/HOST:PORT")
+    user: str | None = Field(None, min_length=1, description="who we say we are; needs a password")
+    password_file: str | None = Field(None, description="file that others cannot read, with the password only")
+    password_env: str | None = Field(None, description="or the environment variable that holds it")
+    users_file: str | None = Field(None, description="who may connect to us: lines user:password")
+    access: str | None = Field(None, description="JSON5 file: Zenoh's access_control of this session")
+    max_payload: Annotated[Bytes, Field(ge=1)] | None = Field(
+        None, description="bytes of payload and attachment; larger samples of others are dropped, uncounted"
+    )
+    cache: Annotated[int, Field(ge=0, le=1_000_000)] = Field(
+        1000, description="samples of each output that are kept for who missed them; 0: none, and no recovery"
+    )
+    raw: dict[str, Any] = Field(default_factory=dict, description="any other key of Zenoh's configuration by its path")
 
 
 class HttpSettings(Settings):

@@ -27,7 +27,7 @@ def serve(
 
     plans = [load_plan(config) for config in configs]
     stop, snapshot = stop_and_snapshot()
-    at = service_endpoints(plans[0].config.zenoh)
+    at = service_endpoints(plans[0].config.zenoh, plans[0].source)
     where, names = ", ".join([*at.listen, *at.connect]), ", ".join(repr(plan.config.id) for plan in plans)
     run(
         plans,

@@ -52,7 +52,7 @@ def serve(
         server = HttpServer(app, listener)
         answering = Worker("HTTP server", server.run, stop.set)
         try:
-            with open_session(service_endpoints(first.config.zenoh), timeout_s=_CONNECT_S) as session:
+            with open_session(service_endpoints(first.config.zenoh, first.source), timeout_s=_CONNECT_S) as session:
                 fleet = Fleet(groups, session, ended=stop.set, snapshot=snapshot)
                 fleets.append(fleet)
                 started(_address(listener))
