@@ -86,7 +86,7 @@ class Fleet:
         return {id: self._with_recording(id, snapshot) for id, snapshot in self._runner.snapshots.items()}
 
     def ended(self) -> Mapping[str, Snapshot]:
-        """The last snapshot of filters that expired."""
+        """The last snapshot of filters that expired, or that ``finish`` ended."""
         return self._runner.ended
 
     def estimate_at(self, id: str, t_ns: int) -> Estimate:
