@@ -79,12 +79,12 @@ class Runner:
             self.heartbeat = time.monotonic()
             if arrivals:
                 self._tracks.append(self._filter.feed(self._sources.batch(arrivals)))
-                self._outbox.offer(self._outputs.encode(self._tracks[-1], self._filter.smoothed()))
+                self._outbox.offer(self._outputs.encode(self._tracks[-1], self._filter.beside()))
                 self._last_arrival, stale = self.heartbeat, True
             if stale and (not arrivals or self.heartbeat - looked > _LOOK_EVERY_S):
                 self.snapshot, looked, stale = self._look(), self.heartbeat, False
             if stopping and not arrivals:
-                self._outbox.offer(self._outputs.encode(self._filter.finish(), self._filter.smoothed()))
+                self._outbox.offer(self._outputs.encode(self._filter.finish(), self._filter.beside()))
                 self._outbox.offer(self._outputs.finish())
                 return
 
