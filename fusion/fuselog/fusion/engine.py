@@ -165,7 +165,7 @@ class Engine:
         whole = head + 1
         if tables.cycles:  # samples that act together with some that are gone cannot be applied again
             at = _moments(tables, history.t[head : tail + 1])
-            whole = head + int(np.searchsorted(at, at[0], side="right"))
+            whole = head + int(np.count_nonzero(at == at[0]))
         return {"places": self._tables.record.sensor, **save_history(history, tables, head, whole)}
 
     def load(self, tree: Tree) -> None:

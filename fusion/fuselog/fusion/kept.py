@@ -77,10 +77,11 @@ def save_history(history: History, tables: Tables, first: int, whole: int) -> Tr
     samples = blank_events(tail + 1 - whole, M)
     for to, name in ((samples.t_ns, "t"), (samples.sensor, "sensor"), (samples.seq, "seq")):
         to[:] = getattr(history, name)[whole : tail + 1]
-    for to, name in ((samples.z, "z"), (samples.R, "R")):
-        to[:] = _entries(history, name, whole, tail + 1).reshape(to.shape)
+    samples.z[:] = _entries(history, "z", whole, tail + 1).reshape(samples.z.shape)
+    samples.R[:] = _covariances(history, tables, whole, tail + 1)
+    entries = {name: _entries(history, name, first, whole) for name in _ENTRIES}
     return {
-        "entries": {name: _entries(history, name, first, whole) for name in _ENTRIES},
+        "entries": entries | {"R": _covariances(history, tables, first, whole).ravel()},
         "samples": save_events(samples),
         "counts": history.counts,
         "end": _end(history),
@@ -118,6 +119,14 @@ def _end(history: History) -> str:
     for name in ("t", "marks", "learned", "state"):
         digest.update(_entries(history, name, tail, tail + 1).tobytes())
     return digest.hexdigest()
+
+
+def _covariances(history: History, tables: Tables, first: int, end: int) -> Floats:
+    """R (n, M * M) of some entries, 0 behind the numbers that each has: what is there in memory means nothing."""
+    square = tables.M**2
+    R = _entries(history, "R", first, end).reshape(-1, square)
+    used = tables.rows[history.sensor[first:end]] ** 2
+    return np.where(np.arange(square) < used[:, np.newaxis], R, 0.0)
 
 
 def _entries(history: History, name: str, first: int, end: int) -> NDArray[Any]:
