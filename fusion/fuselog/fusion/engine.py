@@ -128,6 +128,10 @@ class Engine:
             raise CommandError(f"no estimate at {t_ns} ns: the model has none there")
         return self._estimate(self._ahead.record, 1)
 
+    def warm_up(self) -> None:
+        """Compile, or load from the cache, what ``estimate_at`` would have to wait for."""
+        self._look_ahead(int(self._history.record.cursor[0]), 0)
+
     def _look_ahead(self, entry: int, t_ns: int) -> int:
         """Predict an entry to a time, in memory of its own; returns what is wrong with the prediction."""
         if self._ahead is None:

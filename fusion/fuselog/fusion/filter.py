@@ -9,7 +9,7 @@ import numpy as np
 
 from fuselog.fusion.commands import Answer, Command, CommandError, Configure, Reset, SetState
 from fuselog.fusion.engine import Engine, Estimate, Snapshot
-from fuselog.fusion.events import Events
+from fuselog.fusion.events import Events, blank_events
 from fuselog.fusion.intake import Intake
 from fuselog.fusion.ledger import Ledger, make_ledger
 from fuselog.fusion.plan import Plan
@@ -66,6 +66,13 @@ class Filter:
         self._smoother = FixedLag(plan) if plan.config.smooth is not None else None
         self._ticks = Ticks(plan, output.ticks) if output.ticks is not None else None
         self._given = _Given()
+
+    def warm_up(self) -> None:
+        """Compile, or load from the cache, what the first sample, tick or question would have to wait for."""
+        self._advance(blank_events(0, self.plan.tables.M))
+        self._engine.warm_up()
+        if self._smoother is not None:
+            self._smoother.warm_up()
 
     @property
     def intake(self) -> Intake:
