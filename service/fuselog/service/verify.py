@@ -79,7 +79,7 @@ def verify(log: Log, plan: Plan, *, say: Progress = lambda _: None) -> Verdict:
         count = 0
         for fed, track in fused(log, filter):
             count += fed
-            _keep(offline, outputs.encode(track, filter.smoothed()))
+            _keep(offline, outputs.encode(track, filter.beside()))
         _keep(offline, outputs.finish())
         say("playing it into a service")
         ledger, final = _live(log, plan, offline, live)

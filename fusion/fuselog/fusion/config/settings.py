@@ -276,6 +276,7 @@ class SensorSettings(Settings):
     """One stream of samples and what of it is fused."""
 
     topic: str = Field(min_length=1)
+    enabled: bool = Field(True, description="false: its samples are counted as disabled, and not used")
     type: str | None = Field(None, description="message type; by default as the log or the publisher says")
     reliable: bool = Field(
         False, description="live: ask publishers that keep their samples for those missed, and for those before us"
@@ -332,6 +333,10 @@ class OutputSettings(Settings):
     frame: str = "odom"
     child: str = "base_link"
     rate: Positive | None = Field(None, description="most estimates per second of event time; by default one a sample")
+    ticks: Annotated[float, Field(gt=0, le=1000)] | None = Field(
+        None, description="Hz: estimates predicted to the multiples of 1/ticks in event time; by default none"
+    )
+    settled: bool = Field(False, description="also publish the estimates in the order of stamps, behind the lag window")
 
 
 class SmoothSettings(Settings):

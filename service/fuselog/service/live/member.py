@@ -64,7 +64,7 @@ class Member:
         self.last_arrival = time.monotonic()
         track = self.filter.feed(self._sources.batch(arrivals))
         self._tracks.append(track)
-        self.outbox.offer(self._outputs.encode(track, self.filter.smoothed()))
+        self.outbox.offer(self._outputs.encode(track, self.filter.beside()))
 
     def look(self, shed: Sequence[int]) -> None:
         """Renew the snapshot; ``shed``: samples of each key that were not let in."""
@@ -75,10 +75,19 @@ class Member:
         """Give away what was held back."""
         track = self.filter.finish()
         self._tracks.append(track)
-        self.outbox.offer(self._outputs.encode(track, self.filter.smoothed()))
+        self.outbox.offer(self._outputs.encode(track, self.filter.beside()))
         self.outbox.offer(self._outputs.finish())
         self.outbox.close()
         self.snapshot = self._look()
+
+    def command(self, command: Command, asked_ns: int) -> None:
+        """Follow a command; raises ``CommandError`` or ``ConfigError`` where it cannot. What it did is published."""
+        try:
+            track = self.filter.command(command, asked_ns)
+            self._tracks.append(track)
+        finally:
+            self.outbox.offer(self._outputs.encode(self._nothing if track is None else track, self.filter.beside()))
+            self.plan = self.filter.plan
 
     def progress(self) -> dict[str, dict[str, Progress]]:
         """By publisher and key, exact."""

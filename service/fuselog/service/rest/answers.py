@@ -57,7 +57,7 @@ class StateAnswer(BaseModel):
 
 
 class AccountAnswer(BaseModel):
-    """received = fused + gated + late + duplicate + skipped + pending + the sum of invalid."""
+    """received = fused + gated + late + duplicate + skipped + disabled + pending + the sum of invalid."""
 
     received: int
     fused: int
@@ -65,6 +65,7 @@ class AccountAnswer(BaseModel):
     late: int
     duplicate: int
     skipped: int
+    disabled: int
     pending: int
     invalid: dict[str, int]
 
