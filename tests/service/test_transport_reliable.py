@@ -1,12 +1,12 @@
-"""Samples that get lost on the way come again, where their publisher keeps them; where not, they are counted exactly."""
+"""Samples that get lost on the way come again, where their publisher keeps them; else they are counted exactly."""
 
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from functools import partial
 
 import pytest
 import zenoh
@@ -19,9 +19,10 @@ from .test_transport_security import endpoint
 
 SOURCE = b"sixteen bytes id"
 ROUTER = """
-import sys, time
-from fuselog.service.transport import Endpoints, open_session
-with open_session(Endpoints(mode="router", listen=[sys.argv[1]]), timeout_s=10):
+import sys, time, zenoh
+config = zenoh.Config.from_json5('{mode: "router", scouting: {multicast: {enabled: false}}}')
+config.insert_json5("listen/endpoints", f'["{sys.argv[1]}"]')
+with zenoh.open(config):
     print("up", flush=True)
     time.sleep(600)
 """
@@ -86,6 +87,11 @@ def gaps(numbers: list[int]) -> int:
     return sum(after - before - 1 for before, after in zip([0, *numbers], numbers, strict=False))
 
 
+def never(publisher: str, count: int) -> None:
+    """Of ``missed``, where nothing may be."""
+    raise AssertionError(f"{count} samples of {publisher} are gone")
+
+
 def test_a_router_that_is_killed(router: Router, sessions: tuple[zenoh.Session, zenoh.Session]) -> None:
     """Killed for a second while samples flow: a large cache gives all of them back in order, a small one what it
     has, none nothing; and what is missed is known to the last one.
@@ -123,27 +129,74 @@ def test_a_router_that_is_killed(router: Router, sessions: tuple[zenoh.Session, 
     assert sum(missed["forgotten"]) == gaps(got["forgotten"])
 
 
+@pytest.fixture
+def running(sessions: tuple[zenoh.Session, zenoh.Session]) -> Iterator[None]:
+    """A publisher of ``imu`` that keeps its last 500 samples and sends a thousand a second."""
+    publisher, stop = Publisher(sessions[0], "imu", "", cache=500), threading.Event()
+
+    def run() -> None:
+        sequence = 1
+        while not stop.is_set():
+            publish([publisher], range(sequence, sequence + 1), 0.001)
+            sequence += 1
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    time.sleep(0.7)
+    yield
+    stop.set()
+    thread.join()
+
+
+@pytest.mark.usefixtures("running")
+def test_joining_a_stream(sessions: tuple[zenoh.Session, zenoh.Session]) -> None:
+    """The past is put before what is sent meanwhile, without a gap, every time."""
+    for _ in range(10):
+        got: list[int] = []
+        before = time.monotonic()
+        end = subscribe_reliably(sessions[1], "imu", lambda s, got=got: got.append(number(s)), missed=never)
+        assert time.monotonic() - before < 3
+        past = len(got)
+        assert wait(lambda got=got, past=past: len(got) > past + 20)
+        end()
+        assert past >= 500
+        assert gaps(got) == got[0] - 1
+        assert sorted(set(got)) == got
+
+
 def test_what_was_published_before(sessions: tuple[zenoh.Session, zenoh.Session]) -> None:
     """Who comes late gets what the cache holds, then what follows; a publisher that comes late gives its own too."""
     theirs, ours = sessions
     early = Publisher(theirs, "fleet/robot1/imu", "application/cdr", cache=50)
     publish([early], range(1, 81))
     got: dict[str, list[int]] = {"fleet/robot1/imu": [], "fleet/robot2/imu": []}
-    missed: list[int] = []
-    end = subscribe_reliably(
-        ours,
-        "fleet/*/imu",
-        lambda sample: got[str(sample.key_expr)].append(number(sample)),
-        missed=lambda _, count: missed.append(count),
-    )
-    assert wait(lambda: len(got["fleet/robot1/imu"]) == 50)
+    end = subscribe_reliably(ours, "fleet/*/imu", lambda s: got[str(s.key_expr)].append(number(s)), missed=never)
+    assert got["fleet/robot1/imu"] == list(range(31, 81))
     publish([early], range(81, 91))
     late = Publisher(theirs, "fleet/robot2/imu", "application/cdr", cache=50)
     publish([late], range(1, 11))
     assert wait(lambda: len(got["fleet/robot1/imu"]) >= 60 and len(got["fleet/robot2/imu"]) >= 10)
     end()
     assert got == {"fleet/robot1/imu": list(range(31, 91)), "fleet/robot2/imu": list(range(1, 11))}
-    assert missed == []
+
+
+def test_a_publisher_that_was_cut_off(router: Router, sessions: tuple[zenoh.Session, zenoh.Session]) -> None:
+    """It began while the router was down: what it kept comes first, while it goes on."""
+    theirs, ours = sessions
+    got: list[int] = []
+    end = subscribe_reliably(ours, "imu", lambda sample: got.append(number(sample)), missed=never)
+    router.kill()
+    publisher = Publisher(theirs, "imu", "", cache=10_000)
+    publish([publisher], range(1, 301), 0.001)
+    assert got == []
+    router.start()
+    sent = 300
+    while len(got) < 10 and sent < 5000:
+        publish([publisher], range(sent + 1, sent + 101), 0.001)
+        sent += 100
+    assert wait(lambda: bool(got) and got[-1] == sent)
+    end()
+    assert got == list(range(1, sent + 1))
 
 
 def test_everybody_hears_everybody(sessions: tuple[zenoh.Session, zenoh.Session]) -> None:
@@ -151,8 +204,7 @@ def test_everybody_hears_everybody(sessions: tuple[zenoh.Session, zenoh.Session]
     theirs, ours = sessions
     got: dict[str, list[int]] = {"plain": [], "reliable": []}
     subscribe(ours, "plain", lambda sample: got["plain"].append(number(sample)))
-    missed = partial(pytest.fail, "missed")
-    end = subscribe_reliably(ours, "reliable", lambda s: got["reliable"].append(number(s)), missed=missed)
+    end = subscribe_reliably(ours, "reliable", lambda s: got["reliable"].append(number(s)), missed=never)
     publishers = [Publisher(theirs, "plain", "", cache=10), Publisher(theirs, "reliable", "")]
     assert wait(lambda: publishers[1].wanted)
     time.sleep(0.2)  # until the other subscription is known too
@@ -167,7 +219,7 @@ def test_a_session_that_is_closed_first(sessions: tuple[zenoh.Session, zenoh.Ses
     theirs, ours = sessions
     publisher = Publisher(theirs, "imu", "", cache=10)
     got: list[int] = []
-    end = subscribe_reliably(ours, "imu", lambda sample: got.append(number(sample)), missed=lambda _, count: None)
+    end = subscribe_reliably(ours, "imu", lambda sample: got.append(number(sample)), missed=never)
     publish([publisher], range(1, 11))
     assert wait(lambda: len(got) == 10)
     ours.close()

@@ -11,10 +11,12 @@ import pytest
 import trustme
 import zenoh
 
+from fuselog.fusion import Stream
 from fuselog.fusion.config import load_config
 from fuselog.schemas import ConfigError
+from fuselog.service.streams import learn, tell
 from fuselog.service.transport import TransportError, open_session, service_endpoints, visitor_endpoints
-from fuselog.service.zenoh_door import subscribe
+from fuselog.service.zenoh_door import Publisher, subscribe, subscribe_reliably
 
 TIMEOUT_S = 0.7
 LONG_AGO = datetime.datetime(2020, 1, 1, tzinfo=datetime.UTC)
@@ -30,6 +32,7 @@ def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
     issued = {
         "service": ours.issue_cert("127.0.0.1", common_name="service"),
         "robot1": ours.issue_cert("robot1.example", common_name="robot1"),
+        "viewer": ours.issue_cert("viewer.example", common_name="viewer"),
         "robot2": ours.issue_cert("robot2.example", common_name="robot2"),
         "stranger": theirs.issue_cert("127.0.0.1", common_name="robot1"),
         "expired": ours.issue_cert("127.0.0.1", common_name="robot1", not_after=LONG_AGO),
@@ -248,3 +251,33 @@ def test_what_will_not_do_is_said_at_its_place(pki: Path, text: str, place: str,
     (pki / "odd.json5").write_text("{enabled: true, rulez: []}")
     with pytest.raises(ConfigError, match=rf"fusion\.yaml:4:\d+: {place}\S*: [^\n]*{reason}"):
         service_endpoints(*configured(pki, text))
+
+
+def test_the_example_of_access_control(pki: Path) -> None:
+    """The robot of the example publishes, reliably and with its type; a viewer sees results, and may send nothing."""
+    rules = Path(__file__).parents[2] / "examples" / "zenoh_access.json5"
+    at = endpoint()
+    where = service_endpoints(*configured(pki, f"{{listen: [{at}], {tls('service')}, access: {rules}}}"))
+    imu, results, got, seen = "fleet/robot1/imu", "fused/odom", list[bytes](), list[bytes]()
+    described = Stream(
+        topic=imu, encoding="cdr", schema_name="a/msg/B", schema_encoding="ros2msg", schema_text="float64 x"
+    )
+    with open_session(where, timeout_s=5) as service, visit(pki, at, tls("robot1")) as robot:
+        publisher = Publisher(robot, imu, "application/cdr", cache=10)
+        publisher.put(b"early", b"")
+        tell(robot, {imu: [described]})
+        time.sleep(0.3)  # until the service knows
+        end = subscribe_reliably(service, imu, lambda s: got.append(s.payload.to_bytes()), missed=print)
+        assert got == [b"early"]
+        assert learn(service, imu) == [described]
+        publisher.put(b"later", b"")
+        with visit(pki, at, tls("viewer")) as viewer:
+            subscribe(viewer, results, lambda s: seen.append(s.payload.to_bytes()))
+            viewer.put(imu, b"forged")
+            time.sleep(0.3)
+            service.put(results, b"estimate")
+            service.put(imu, b"not for viewers")
+            time.sleep(0.3)
+        end()
+    assert got == [b"early", b"later"]
+    assert seen == [b"estimate"]

@@ -12,6 +12,8 @@ from typing import Any, Final, Protocol, TypeVar, cast
 import zenoh
 from zenoh import ext
 
+from fuselog.service.backlog import Backlog
+
 _HEARTBEAT_S: Final = 0.5  # in which a subscriber learns that it missed the last samples
 _SOURCE_PLACE: Final = re.compile(r"\s*at /\S+\.rs:\d+\.?")
 _JSON_ERROR: Final = re.compile(r"msg: \"(?P<reason>.*)\", location: Some\(Location (?P<place>\{.*?\})")
@@ -83,24 +85,28 @@ def subscribe_reliably(
 
     The samples of a publisher come in its order: those after a gap wait for the answer. ``missed`` is told a publisher
     and how many of its samples nobody has any more. Other publishers are heard as by ``subscribe``. Neither function
-    may call Zenoh. What is returned must be called before the session is closed, and not from either function.
+    may call Zenoh. Returns when the past of all who are there has been put: 5 s at most. What is returned must be
+    called before the session is closed, and not from either function.
     """
+    backlog = Backlog(session, key, put)
     subscriber = ext.declare_advanced_subscriber(
         session,
         key,
-        _on_network_thread(put),
+        _on_network_thread(backlog.take),
         allowed_origin=zenoh.Locality.REMOTE,
-        history=ext.HistoryConfig(detect_late_publishers=True),
         recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
     )
+    publishers = subscriber.detect_publishers(_on_network_thread(backlog.appear))
 
     def tell(miss: ext.Miss) -> None:
         missed(f"{miss.source.zid}/{miss.source.eid}", miss.nb)
 
     misses = subscriber.sample_miss_listener(_on_network_thread(tell))
+    backlog.start()
 
     def end() -> None:
         misses.undeclare()
+        publishers.undeclare()
         subscriber.undeclare()
 
     return end
