@@ -2,17 +2,15 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from statistics import median
 
 import numpy as np
 
 from fuselog.fusion.engine import Estimate
-from fuselog.fusion.events import Decision
 from fuselog.fusion.health.covariance import CovarianceHealth, covariance_health, heading_sd, position_sd
 from fuselog.fusion.health.disagree import disagreements
-from fuselog.fusion.health.figures import FEWEST
 from fuselog.fusion.health.findings import Ages, Finding, Level, Losses, Status, filter_status
 from fuselog.fusion.health.sensor import (
-    JUDGED,
     MOST_SKEW_S,
     OF_LATE_S,
     SensorHealth,
@@ -101,15 +99,16 @@ def assess(
         for sensor in plan.sensors
     }
     more = _together(plan, recent, {name: s for name, s in sensors.items() if s.status != "disabled"})
-    sensors = {name: replace(s, findings=(*s.findings, *more.get(name, ()))) for name, s in sensors.items()}
+    for name, found in more.items():
+        sensors[name] = replace(sensors[name], findings=(*sensors[name].findings, *found))
     finite = bool(np.isfinite(estimate.x[estimate.known]).all() and np.isfinite(estimate.P).all())
     covariance = covariance_health(estimate.P) if finite else CovarianceHealth(False, np.nan)
     return Health(
         findings=(
             *_broken(finite, covariance.positive),
             *_resets(estimate, ages),
-            *_far_off(plan, recent, sensors),
-            *_at_limit(plan, recent),
+            *_far_off(sensors),
+            *_at_limit(plan, sensors),
             *_not_moved(estimate, sensors, ages),
             *_begins(plan, estimate),
             *([Finding("clock_of_all", "note", text)] if (text := _offset_of_all(sensors)) else []),
@@ -135,8 +134,8 @@ def _together(plan: Plan, recent: Recent, sensors: Mapping[str, SensorHealth]) -
     for name in offsets:
         others = [offset for other, offset in offsets.items() if other != name]
         if others:
-            found.setdefault(name, []).extend(clock_offset(sensors[name], float(np.median(others))))
-    return found
+            found.setdefault(name, []).extend(clock_offset(sensors[name], median(others)))
+    return {name: findings for name, findings in found.items() if findings}
 
 
 def _broken(finite: bool, positive: bool) -> list[Finding]:
@@ -153,23 +152,19 @@ def _resets(estimate: Estimate, ages: Ages) -> list[Finding]:
     return [Finding("reset", level, f"the covariance began anew {times}: it was no covariance any more")]
 
 
-def _far_off(plan: Plan, recent: Recent, sensors: Mapping[str, SensorHealth]) -> list[Finding]:
+def _far_off(sensors: Mapping[str, SensorHealth]) -> list[Finding]:
     """Every sensor that is tried says that the estimate is wrong: none is left to say which of them is right."""
-    ratios: list[float] = []
-    for sensor in plan.sensors:
-        window = recent[sensor.rank].last(JUDGED)
-        tried = np.flatnonzero(np.isfinite(window.nis) & (window.dof > 0))[-FEWEST:]
-        if len(tried) == FEWEST and sensors[sensor.name].status not in ("stale", "disabled"):
-            ratios.append(float(np.median(window.nis[tried] / window.dof[tried])))
+    heard = [s for s in sensors.values() if s.nis is not None and s.status not in ("stale", "disabled")]
+    ratios = [s.nis.newest for s in heard if s.nis is not None and s.nis.newest is not None]
     if not ratios or min(ratios) <= _FAR_OFF:
         return []
     text = f"all sensors are far off: their NIS is at least {min(ratios):.3g} times its degrees of freedom"
     return [Finding("all_far_off", "diverged", text)]
 
 
-def _at_limit(plan: Plan, recent: Recent) -> list[Finding]:
+def _at_limit(plan: Plan, sensors: Mapping[str, SensorHealth]) -> list[Finding]:
     """The limits of the model, when samples of late brought the state to one."""
-    if not any(np.any(window.last(JUDGED).decision == Decision.INVALID_SINGULAR) for window in recent):
+    if not any(finding.code == "invalid_singular" for sensor in sensors.values() for finding in sensor.findings):
         return []
     limits = [
         f"{state} came to {np.degrees(limit):.3g} deg" if plan.card.states[state] == "rad" else f"{state} to {limit:g}"
@@ -203,13 +198,13 @@ def _offset_of_all(sensors: Mapping[str, SensorHealth]) -> str:
     offsets = [s.timing.median_s for s in sensors.values() if s.timing is not None and s.timing.unit is None]
     if not offsets or min(map(abs, offsets)) <= MOST_SKEW_S or max(offsets) - min(offsets) > MOST_SKEW_S:
         return ""
-    apart = float(np.median(offsets))
+    apart = median(offsets)
     side = "before" if apart > 0 else "after"
     return f"all stamps are {abs(apart):.3g} s {side} their arrival: of another clock, or of a log that is played"
 
 
 def _fix_age(plan: Plan, estimate: Estimate, recent: Recent) -> float | None:
-    newest = [recent[s.rank].last_fused_ns for s in plan.sensors if measures_position(s)]
+    newest = [recent[s.rank].fused_ns for s in plan.sensors if measures_position(s)]
     fused = [stamp for stamp in newest if stamp is not None]
     return (estimate.t_ns - max(fused)) / 1e9 if fused and estimate.t_ns is not None else None
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.health.figures import FEWEST
 from fuselog.fusion.health.findings import Finding
+from fuselog.fusion.health.measure import FEWEST
 from fuselog.fusion.health.window import Recent, Window
 from fuselog.fusion.kernel.tables import Role
 from fuselog.fusion.plan import Plan
@@ -46,9 +46,10 @@ class _Last(NamedTuple):
 
 
 def _last(window: Window, number: int) -> _Last:
-    window = window.last(_LOOKED_AT)
-    tried = np.flatnonzero(np.isfinite(window.variance[:, number]))[-_COMPARED:]
-    return _Last(window.stamp_ns[tried], window.innovation[tried, number], window.variance[tried, number])
+    variance = window.variance[-_LOOKED_AT:, number]
+    tried = np.flatnonzero(np.isfinite(variance))[-_COMPARED:]
+    stamps, innovations = window.stamp_ns[-_LOOKED_AT:], window.innovation[-_LOOKED_AT:, number]
+    return _Last(stamps[tried], innovations[tried], variance[tried])
 
 
 def _apart(a: _Last, b: _Last) -> _Apart | None:

@@ -4,28 +4,33 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fuselog.fusion.engine import Estimate, Learned
 from fuselog.fusion.events import Decision
 from fuselog.fusion.health.figures import (
-    FEWEST,
     GateHealth,
     InnovationHealth,
     NisHealth,
     RateHealth,
     TimingHealth,
-    delay,
-    frozen,
     gate_health,
     innovation_health,
     nis_health,
-    period,
     rate_health,
     timing_health,
-    usual_period,
 )
 from fuselog.fusion.health.findings import Ages, Finding, Losses, SensorStatus, sensor_status
+from fuselog.fusion.health.measure import (
+    BEHIND,
+    COUNTS,
+    FEWEST,
+    MOST_STEP,
+    SAME,
+    STEP,
+    STEPS,
+    Floats,
+    measure,
+)
 from fuselog.fusion.health.window import Window
 from fuselog.fusion.ledger import Account
 from fuselog.fusion.plan import Plan, SensorPlan
@@ -41,6 +46,7 @@ _STALE_PERIODS, _STALE_LEAST_S = 3.0, 0.5
 _RATE_BAND = (0.7, 1.5)  # of the expected rate
 _BIASED = 0.5  # standard deviations of a mean that is worth a remark
 _INERT_REACH, _INERT_SAMPLES, _INERT_CHANCE = 0.1, 100, 1e-6
+_INVALID = {d: d.name.removeprefix("INVALID_").lower() for d in Decision if d.invalid}
 _IDLE_EXPECTED = 10.0  # refusals by chance after which a gate that never fired is remarked on
 
 
@@ -94,26 +100,26 @@ def assess_sensor(
     disabled: bool,
 ) -> SensorHealth:
     """The figures of a sensor and what they say, but for what only all sensors together do."""
-    judged = window.last(JUDGED)
-    stamps = judged.stamp_ns[judged.valid]
-    last = int(stamps.max()) if len(stamps) else None
-    usual, idle = usual_period(judged), ages.heard.get(sensor.name)
+    measured = measure(plan, sensor, window, JUDGED)
+    regular = measured[STEPS] >= 2
+    usual = float(measured[MOST_STEP]) if regular else None
+    last, idle = window.newest_ns, ages.heard.get(sensor.name)
     age = None if last is None or estimate.t_ns is None else (estimate.t_ns - last) / 1e9
-    nis, gate, gain = nis_health(judged), gate_health(plan, sensor, judged), _gain(plan, sensor, window)
-    rate, timing = rate_health(plan, sensor, judged), timing_health(window)
-    innovation = innovation_health(sensor, judged)
+    nis, gate, gain = nis_health(measured), gate_health(plan, sensor, measured), _gain(plan, sensor, window)
+    rate, timing = rate_health(plan, sensor, window, measured), timing_health(window, measured)
+    innovation = innovation_health(sensor, measured)
     if disabled:
         findings = [Finding("disabled", "disabled", "switched off")]
     else:
         wrong = [
             *_lost(account, losses, ages.lost.get(sensor.name)),
-            *_refused(judged),
+            *_refused(window, measured),
             *_locked(gate),
             *_inconsistent(nis, innovation),
-            *_frozen(sensor, judged),
+            *_frozen(sensor, int(measured[SAME])),
             *_clock(timing),
             *_rate(rate),
-            *_silent(age, delay(judged), usual),
+            *_silent(age, float(measured[BEHIND]), usual),
             *_quiet(idle, usual),
         ]
         findings = [
@@ -135,14 +141,14 @@ def assess_sensor(
         gate=gate,
         gain=gain,
         last_stamp_ns=last,
-        period_s=period(judged),
+        period_s=float(measured[STEP]) if regular else None,
         usual_period_s=usual,
         age_s=age,
         idle_s=idle,
         not_examined=_not_examined(
             plan,
             sensor,
-            len(judged),
+            min(len(window), JUDGED),
             {"nis": nis, "rate": rate, "timing": timing, "innovation": innovation, "gate": gate, "gain": gain},
         ),
     )
@@ -179,20 +185,19 @@ def _lost(account: Account, losses: Losses, ago_s: float | None) -> list[Finding
     return wrong + [Finding(code, level, f"{count} {text}") for code, count, text in told if count]
 
 
-def _refused(window: Window) -> list[Finding]:
+def _refused(window: Window, measured: Floats) -> list[Finding]:
     """Samples of late that the filter could not use."""
-    n = len(window)
+    n = min(len(window), JUDGED)
     if not n:
         return []
-    counts = np.bincount(window.decision, minlength=len(Decision))
+    counts = measured[COUNTS : COUNTS + len(Decision)].astype(int).tolist()
     newest = Decision(int(window.decision[-1]))
     found: list[Finding] = []
-    for decision in Decision:
-        if not counts[decision] or not decision.invalid:
+    for decision, kind in _INVALID.items():
+        if not counts[decision]:
             continue
         if decision == Decision.INVALID_UNINITIALISED and newest != decision:
             continue  # that was while the filter started
-        kind = decision.name.removeprefix("INVALID_").lower()
         text = f"invalid ({kind}): {counts[decision] / n:.0%} of the last {n} samples"
         found.append(Finding(f"invalid_{kind}", "degraded", text))
     late = counts[Decision.LATE] / n
@@ -218,12 +223,11 @@ def _inconsistent(nis: NisHealth | None, innovation: InnovationHealth | None) ->
     return [Finding("nis_high", "degraded", text)]
 
 
-def _frozen(sensor: SensorPlan, window: Window) -> list[Finding]:
-    if sensor.settings.kind in ("constant", "zero_velocity"):
+def _frozen(sensor: SensorPlan, same: int) -> list[Finding]:
+    if not same or sensor.settings.kind in ("constant", "zero_velocity"):
         return []
-    same = frozen(window)
     text = f"the last {same} samples are the same to the bit, while what they measure moved: a frozen signal"
-    return [Finding("frozen", "degraded", text)] if same else []
+    return [Finding("frozen", "degraded", text)]
 
 
 def _clock(timing: TimingHealth | None) -> list[Finding]:
@@ -321,9 +325,9 @@ def _learned(sensor: SensorPlan, learned: Learned) -> list[Finding]:
 
 
 def _gain(plan: Plan, sensor: SensorPlan, window: Window) -> GainHealth | None:
-    innovation: NDArray[np.float64] = window.innovation
-    whole = np.isfinite(innovation).all(axis=1) & (window.decision <= Decision.GATED)
-    return gain_health(plan, sensor.name, innovation[whole])
+    nis, dof, decision = (column[-JUDGED:] for column in (window.nis, window.dof, window.decision))
+    whole = np.isfinite(nis) & (dof == sensor.dof) & (decision <= Decision.GATED)
+    return gain_health(plan, sensor.name, window.innovation[-JUDGED:][whole])
 
 
 def _not_examined(plan: Plan, sensor: SensorPlan, n: int, figures: Mapping[str, object]) -> dict[str, str]:

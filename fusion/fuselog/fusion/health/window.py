@@ -13,9 +13,9 @@ REMEMBERED = 1000  # samples of each sensor
 FIRST = 50  # stamps from which a sensor's own period is learned
 
 _LEAST_ROOM = 64
-_T, _STAMP, _ARRIVAL, _SEQ, _DECISION, _DOF, _READING, _WHOLE = range(8)
-_DATED = np.array([d not in (Decision.INVALID_SCHEMA, Decision.INVALID_SIZE) for d in Decision])
-_VALID = np.array([not d.invalid for d in Decision])
+T, STAMP, ARRIVAL, SEQ, DECISION, DOF, READING, _WHOLE = range(8)  # the whole numbers of a sample
+IS_DATED = np.array([d not in (Decision.INVALID_SCHEMA, Decision.INVALID_SIZE) for d in Decision])
+IS_VALID = np.array([not d.invalid for d in Decision])
 _MIX = np.cumprod(np.full(64, 0x9E3779B97F4A7C15, np.uint64)).view(np.int64)  # odd, so that no bit gets lost
 
 
@@ -38,56 +38,48 @@ class Window:
     begin: int
     end: int
     first: NDArray[np.int64]  # the first ``FIRST`` valid stamps
-    last_fused_ns: int | None  # newest stamp of a sample that was fused, ever
+    learned_hz: float | None  # from these, when there are as many
+    newest_ns: int | None  # newest valid stamp, ever
+    fused_ns: int | None  # newest stamp of a sample that was fused, ever
     log: _Log
 
     def __len__(self) -> int:
         return self.end - self.begin
 
-    def last(self, n: int) -> "Window":
-        """At most the last n of them."""
-        return Window(
-            begin=max(self.begin, self.end - n),
-            end=self.end,
-            first=self.first,
-            last_fused_ns=self.last_fused_ns,
-            log=self.log,
-        )
-
     @property
     def t_ns(self) -> NDArray[np.int64]:
         """Time of the estimate (n,) when the sample had been taken."""
-        return self._whole(_T)
+        return self._whole(T)
 
     @property
     def stamp_ns(self) -> NDArray[np.int64]:
         """Stamps (n,)."""
-        return self._whole(_STAMP)
+        return self._whole(STAMP)
 
     @property
     def arrival_ns(self) -> NDArray[np.int64]:
         """When they were received (n,)."""
-        return self._whole(_ARRIVAL)
+        return self._whole(ARRIVAL)
 
     @property
     def seq(self) -> NDArray[np.int64]:
         """How many samples of the sensor came before (n,)."""
-        return self._whole(_SEQ)
+        return self._whole(SEQ)
 
     @property
     def decision(self) -> NDArray[np.int64]:
         """What became of them (n,), of ``Decision``."""
-        return self._whole(_DECISION)
+        return self._whole(DECISION)
 
     @property
     def dof(self) -> NDArray[np.int64]:
         """How many numbers were tried (n,)."""
-        return self._whole(_DOF)
+        return self._whole(DOF)
 
     @property
     def reading(self) -> NDArray[np.int64]:
         """A number (n,) that two samples share only if all that they measured is the same, to the bit."""
-        return self._whole(_READING)
+        return self._whole(READING)
 
     @property
     def nis(self) -> NDArray[np.float64]:
@@ -110,14 +102,9 @@ class Window:
         return self._table(2)
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
-        """Which of them could be used (n,)."""
-        return _VALID[self.decision]
-
-    @property
     def dated(self) -> NDArray[np.bool_]:
         """Which of them could be read as far as their stamp (n,)."""
-        return _DATED[self.decision]
+        return IS_DATED[self.decision]
 
     def _whole(self, column: int) -> NDArray[np.int64]:
         return self.log.whole[column, self.begin : self.end]
@@ -132,9 +119,10 @@ Recent = tuple[Window, ...]  # by rank
 
 def no_samples(plan: Plan) -> Recent:
     """The memory of a filter that has seen nothing."""
-    empty = np.empty(0, np.int64)
+    logs = (_Log(sensor.dof, _LEAST_ROOM) for sensor in plan.sensors)
+    none = np.empty(0, np.int64)
     return tuple(
-        Window(begin=0, end=0, first=empty, last_fused_ns=None, log=_Log(s.dof, _LEAST_ROOM)) for s in plan.sensors
+        Window(begin=0, end=0, first=none, learned_hz=None, newest_ns=None, fused_ns=None, log=log) for log in logs
     )
 
 
@@ -159,14 +147,12 @@ def _remember(
 ) -> Window:
     if not len(mine):
         return window
-    stamps, decisions = whole[_STAMP, mine], whole[_DECISION, mine]
-    fused = stamps[decisions == Decision.FUSED]
-    newest = window.last_fused_ns
-    if len(fused):
-        newest = int(fused.max()) if newest is None else max(newest, int(fused.max()))
-    first = window.first
+    stamps, decisions = whole[STAMP, mine], whole[DECISION, mine]
+    valid = stamps[IS_VALID[decisions]]
+    first, learned = window.first, window.learned_hz
     if len(first) < FIRST:
-        first = np.concatenate([first, stamps[_VALID[decisions]]])[:FIRST]
+        first = np.concatenate([first, valid])[:FIRST]
+        learned = _learn(first)
     kept = mine[-REMEMBERED:]
     begin, end, log = _room(window, len(kept))
     log.whole[:, end : end + len(kept)] = whole[:, kept]
@@ -176,7 +162,29 @@ def _remember(
         log.real[1 + index * m : 1 + (index + 1) * m, end : end + len(kept)] = real[place : place + m, kept]
     end += len(kept)
     log.end = end
-    return Window(begin=max(begin, end - REMEMBERED), end=end, first=first, last_fused_ns=newest, log=log)
+    return Window(
+        begin=max(begin, end - REMEMBERED),
+        end=end,
+        first=first,
+        learned_hz=learned,
+        newest_ns=_newest(window.newest_ns, valid),
+        fused_ns=_newest(window.fused_ns, stamps[decisions == Decision.FUSED]),
+        log=log,
+    )
+
+
+def _learn(first: NDArray[np.int64]) -> float | None:
+    """The rate (Hz) of the first stamps, by the median of their steps."""
+    steps = np.diff(np.sort(first))
+    steps = steps[steps > 0]
+    return 1e9 / float(np.median(steps)) if len(first) == FIRST and len(steps) else None
+
+
+def _newest(before: int | None, stamps: NDArray[np.int64]) -> int | None:
+    if not len(stamps):
+        return before
+    newest = int(stamps.max())
+    return newest if before is None else max(before, newest)
 
 
 def _room(window: Window, n: int) -> tuple[int, int, _Log]:
