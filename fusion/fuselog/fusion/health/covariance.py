@@ -42,7 +42,9 @@ def position_sd(plan: Plan, estimate: Estimate) -> float | None:
 
 
 def heading_sd(plan: Plan, estimate: Estimate) -> float | None:
-    """Rad, about the vertical of the world; None where the model has no yaw or does not know it."""
+    """Of yaw, rad; None where the model has none or does not know it. A small turn e of the body is one of
+    (sin roll e_y + cos roll e_z) / cos pitch in yaw.
+    """
     states = plan.states
     if "yaw" not in states or not estimate.known[states.index("yaw")]:
         return None
@@ -50,8 +52,8 @@ def heading_sd(plan: Plan, estimate: Estimate) -> float | None:
         return _root(float(estimate.P[states.index("yaw"), states.index("yaw")]))
     turn = [states.index(name) for name in ("roll", "pitch", "yaw")]
     roll, pitch, _ = estimate.x[turn]
-    up = np.array([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)])  # in the body's axes
-    return _root(float(up @ estimate.P[np.ix_(turn, turn)] @ up))
+    slope = np.array([0.0, np.sin(roll), np.cos(roll)]) / np.cos(pitch)
+    return _root(float(slope @ estimate.P[np.ix_(turn, turn)] @ slope))
 
 
 def _root(variance: float) -> float | None:

@@ -30,8 +30,8 @@ FEWEST: Final = 20  # samples before a statistic is judged
 (SAME, WHOLE) = range(22, 24)
 COUNTS: Final = 24
 NUMBERS: Final = COUNTS + DECISIONS
-(MEAN, SQUARE, COPIES, SLOPE, SLOPE_SD) = range(5)
-PER_NUMBER: Final = 5
+(MEAN, SQUARE, COPIES, SLOPE, SLOPE_SD, POWER, LAGGED) = range(7)
+PER_NUMBER: Final = 7
 
 _GATED: Final = int(Decision.GATED)
 _MOVED: Final = 3.0  # standard deviations of the innovation over which a frozen signal's spread
@@ -152,25 +152,28 @@ def _of_stamps(whole: Ints, begin: int, end: int, is_valid: NDArray[np.bool_], o
 
 @inline
 def _of_arrivals(whole: Ints, begin: int, end: int, is_dated: NDArray[np.bool_], out: Floats) -> None:
-    """By how much (s) the last skews are apart from those before, where both keep within half of that."""
-    k, low, high = 0, 0, 0
-    before_low, before_high = 0, 0
-    for j in range(end - 1, begin - 1, -1):
+    """By how much (s) the skew jumped at its largest step, where it keeps within half of that before and after."""
+    k, largest, place, last = 0, 0, 0, 0
+    for j in range(begin, end):
         if not is_dated[whole[DECISION, j]]:
             continue
         late = whole[ARRIVAL, j] - whole[STAMP, j]
-        if k < FEWEST:
-            low, high = (late, late) if k == 0 else (min(low, late), max(high, late))
-        elif k == FEWEST:
-            before_low, before_high = late, late
-        else:
-            before_low, before_high = min(before_low, late), max(before_high, late)
-        k += 1
+        if k and abs(late - last) > largest:
+            largest, place = abs(late - last), j
+        k, last = k + 1, late
     out[DATED] = k
-    if k < 2 * FEWEST:
-        return
-    by = 0.5 * ((low - before_low) + (high - before_high))
-    if max(high - low, before_high - before_low) < 0.5 * abs(by):
+    sides = np.zeros((2, 3), np.int64)  # before and after: least, greatest, how many
+    for j in range(begin, end):
+        if not is_dated[whole[DECISION, j]]:
+            continue
+        late, side = whole[ARRIVAL, j] - whole[STAMP, j], 0 if j < place else 1
+        first = sides[side, 2] == 0
+        sides[side, 0] = late if first else min(sides[side, 0], late)
+        sides[side, 1] = late if first else max(sides[side, 1], late)
+        sides[side, 2] += 1
+    by = 0.5 * (sides[1, 0] - sides[0, 0] + sides[1, 1] - sides[0, 1])
+    spread = max(sides[0, 1] - sides[0, 0], sides[1, 1] - sides[1, 0])
+    if min(sides[0, 2], sides[1, 2]) >= FEWEST and spread < 0.5 * abs(by):
         out[JUMP] = by * 1e-9
 
 
@@ -185,10 +188,10 @@ def _of_readings(whole: Ints, real: Floats, begin: int, end: int, out: Floats) -
         if n and whole[READING, j] != first:
             break
         for i in range(m):
-            nu, S = real[1 + m + i, j], real[1 + 2 * m + i, j]
+            nu, variance = real[1 + m + i, j], real[1 + 2 * m + i, j]
             span[0, i] = min(span[0, i], nu) if n else nu
             span[1, i] = max(span[1, i], nu) if n else nu
-            span[2, i] = span[2, i] + S if n else S
+            span[2, i] = span[2, i] + variance if n else variance
         first, n = whole[READING, j], n + 1
     if n < FEWEST:
         return
@@ -202,29 +205,46 @@ def _of_innovations(whole: Ints, real: Floats, begin: int, end: int, i: int, out
     """Means of number i in its standard deviations, and the slope of its innovations over what was predicted."""
     m = (len(real) - 1) // 3
     at = NUMBERS + i
-    n, before, e_sum, square, lagged = 0, 0.0, 0.0, 0.0, 0.0
+    n, before, e_sum, square, lagged, last = 0, 0.0, 0.0, 0.0, 0.0, 0.0
     h_sum, nu_sum, S_sum = 0.0, 0.0, 0.0
     for j in range(begin, end):
-        nu, S = real[1 + m + i, j], real[1 + 2 * m + i, j]
-        if whole[DOF, j] != m or not math.isfinite(real[0, j]) or not S > 0:
+        nu, variance = real[1 + m + i, j], real[1 + 2 * m + i, j]
+        if whole[DOF, j] != m or not math.isfinite(real[0, j]) or not variance > 0:
             continue
-        e = nu / math.sqrt(S)
+        e = nu / math.sqrt(variance)
         e_sum, square, lagged = e_sum + e, square + e * e, lagged + (e * before if n else 0.0)
-        h_sum, nu_sum, S_sum, before, n = h_sum + real[1 + i, j] - nu, nu_sum + nu, S_sum + S, e, n + 1
+        h_sum, nu_sum, S_sum, before, n = h_sum + real[1 + i, j] - nu, nu_sum + nu, S_sum + variance, e, n + 1
+        out[at + POWER * m] += nu * nu
+        out[at + LAGGED * m] += nu * last
+        last = nu
     out[WHOLE] = n
     if n < FEWEST:
         return
-    h_mean, nu_mean, moment, cross, spread = h_sum / n, nu_sum / n, 0.0, 0.0, 0.0
+    h_mean, nu_mean, moment, cross = h_sum / n, nu_sum / n, 0.0, 0.0
     for j in range(begin, end):
-        nu, S = real[1 + m + i, j], real[1 + 2 * m + i, j]
-        if whole[DOF, j] != m or not math.isfinite(real[0, j]) or not S > 0:
+        nu, variance = real[1 + m + i, j], real[1 + 2 * m + i, j]
+        if whole[DOF, j] != m or not math.isfinite(real[0, j]) or not variance > 0:
             continue
-        h, apart = real[1 + i, j] - nu - h_mean, nu - nu_mean
-        moment, cross, spread = moment + h * h, cross + h * apart, spread + apart * apart
-    lag = min(max(lagged / square, 0.0), _MOST_LAG) if square > 0 else 0.0
-    fewer = (1 + lag) / (1 - lag)  # of numbers that are correlated with the one before, so many say as much as one
-    out[at + MEAN * m], out[at + SQUARE * m], out[at + COPIES * m] = e_sum / n, square / n, fewer
-    if moment > 0:
-        slope = cross / moment
-        rest = max((spread - slope * cross) / n, S_sum / n)
-        out[at + SLOPE * m], out[at + SLOPE_SD * m] = slope, math.sqrt(rest / moment * fewer)
+        h = real[1 + i, j] - nu - h_mean
+        moment, cross = moment + h * h, cross + h * (nu - nu_mean)
+    mean = e_sum / n
+    out[at + MEAN * m], out[at + SQUARE * m] = mean, square / n
+    out[at + COPIES * m] = _copies(lagged - n * mean * mean, square - n * mean * mean)
+    if not moment > 0:
+        return
+    slope, power, lagged, before = cross / moment, 0.0, 0.0, 0.0
+    for j in range(begin, end):
+        nu, variance = real[1 + m + i, j], real[1 + 2 * m + i, j]
+        if whole[DOF, j] != m or not math.isfinite(real[0, j]) or not variance > 0:
+            continue
+        left = nu - nu_mean - slope * (real[1 + i, j] - nu - h_mean)
+        power, lagged, before = power + left * left, lagged + left * before, left
+    rest = max(power, S_sum) / n
+    out[at + SLOPE * m], out[at + SLOPE_SD * m] = slope, math.sqrt(rest / moment * _copies(lagged, power))
+
+
+@inline
+def _copies(lagged: float, power: float) -> float:
+    """How many numbers say as much as one that is independent of the others, by the correlation with the one before."""
+    lag = min(max(lagged / power, 0.0), _MOST_LAG) if power > 0 else 0.0
+    return (1 + lag) / (1 - lag)

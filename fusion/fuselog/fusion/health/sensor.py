@@ -24,17 +24,21 @@ from fuselog.fusion.health.measure import (
     BEHIND,
     COUNTS,
     FEWEST,
+    LAGGED,
     MOST_STEP,
+    POWER,
     SAME,
     STEP,
     STEPS,
+    WHOLE,
     Floats,
     measure,
+    per_number,
 )
 from fuselog.fusion.health.window import Window
 from fuselog.fusion.ledger import Account
 from fuselog.fusion.plan import Plan, SensorPlan
-from fuselog.fusion.shadow import GainHealth, gain_health
+from fuselog.fusion.shadow import GainHealth, correlation_health, gain_health
 
 JUDGED = 200  # samples of those remembered that say how a sensor does
 OF_LATE_S = 30.0  # for how long a loss is a reason
@@ -105,7 +109,7 @@ def assess_sensor(
     usual = float(measured[MOST_STEP]) if regular else None
     last, idle = window.newest_ns, ages.heard.get(sensor.name)
     age = None if last is None or estimate.t_ns is None else (estimate.t_ns - last) / 1e9
-    nis, gate, gain = nis_health(measured), gate_health(plan, sensor, measured), _gain(plan, sensor, window)
+    nis, gate, gain = nis_health(measured), gate_health(plan, sensor, measured), _gain(plan, sensor, window, measured)
     rate, timing = rate_health(plan, sensor, window, measured), timing_health(window, measured)
     innovation = innovation_health(sensor, measured)
     if disabled:
@@ -324,9 +328,13 @@ def _learned(sensor: SensorPlan, learned: Learned) -> list[Finding]:
     return [Finding(code, "note", text) for code, text in notes]
 
 
-def _gain(plan: Plan, sensor: SensorPlan, window: Window) -> GainHealth | None:
-    nis, dof, decision = (column[-JUDGED:] for column in (window.nis, window.dof, window.decision))
-    whole = np.isfinite(nis) & (dof == sensor.dof) & (decision <= Decision.GATED)
+def _gain(plan: Plan, sensor: SensorPlan, window: Window, measured: Floats) -> GainHealth | None:
+    """What innovations say of the gain; where nothing is expected of them, what was measured already will do."""
+    n = int(measured[WHOLE])
+    if sensor.name not in plan.lags:
+        return correlation_health(sensor.names, n, per_number(measured, POWER), per_number(measured, LAGGED))
+    nis, dof = window.nis[-JUDGED:], window.dof[-JUDGED:]
+    whole = np.isfinite(nis) & (dof == sensor.dof)
     return gain_health(plan, sensor.name, window.innovation[-JUDGED:][whole])
 
 

@@ -128,26 +128,20 @@ def no_samples(plan: Plan) -> Recent:
 
 def remember(recent: Recent, track: Track) -> Recent:
     """The memory after the rows of ``track``."""
+    whole = np.empty((_WHOLE, len(track)), np.int64)
     columns = track.t_ns, track.stamp_ns, track.arrival_ns, track.seq, track.decision, track.dof, _readings(track.z)
-    whole = np.array(columns, np.int64)
-    real = np.concatenate([track.nis[np.newaxis], track.z.T, track.innovation.T, track.innovation_variance.T])
-    places = np.cumsum([1, track.z.shape[1], track.innovation.shape[1]])
+    for row, column in zip(whole, columns, strict=True):
+        row[:] = column
+    heard = set(track.sensor.tolist())
     return tuple(
-        _remember(window, whole, real, places, np.flatnonzero(track.sensor == rank))
+        _remember(window, track, whole, np.flatnonzero(track.sensor == rank)) if rank in heard else window
         for rank, window in enumerate(recent)
     )
 
 
-def _remember(
-    window: Window,
-    whole: NDArray[np.int64],
-    real: NDArray[np.float64],
-    places: NDArray[np.int64],
-    mine: NDArray[np.int64],
-) -> Window:
-    if not len(mine):
-        return window
-    stamps, decisions = whole[STAMP, mine], whole[DECISION, mine]
+def _remember(window: Window, track: Track, whole: NDArray[np.int64], mine: NDArray[np.int64]) -> Window:
+    more = whole.take(mine, axis=1)
+    stamps, decisions = more[STAMP], more[DECISION]
     valid = stamps[IS_VALID[decisions]]
     first, learned = window.first, window.learned_hz
     if len(first) < FIRST:
@@ -155,16 +149,16 @@ def _remember(
         learned = _learn(first)
     kept = mine[-REMEMBERED:]
     begin, end, log = _room(window, len(kept))
-    log.whole[:, end : end + len(kept)] = whole[:, kept]
-    log.real[0, end : end + len(kept)] = real[0, kept]
+    new = slice(end, end + len(kept))
+    log.whole[:, new] = more[:, -len(kept) :]
+    log.real[0, new] = track.nis[kept]
     m = len(log.real) // 3
-    for index, place in enumerate(places.tolist()):
-        log.real[1 + index * m : 1 + (index + 1) * m, end : end + len(kept)] = real[place : place + m, kept]
-    end += len(kept)
-    log.end = end
+    for index, table in enumerate((track.z, track.innovation, track.innovation_variance)):
+        log.real[1 + index * m : 1 + (index + 1) * m, new] = table[kept, :m].T
+    log.end = new.stop
     return Window(
-        begin=max(begin, end - REMEMBERED),
-        end=end,
+        begin=max(begin, log.end - REMEMBERED),
+        end=log.end,
         first=first,
         learned_hz=learned,
         newest_ns=_newest(window.newest_ns, valid),
