@@ -46,7 +46,7 @@ def test_a_sensor_goes_and_comes_back() -> None:
     seen = live(Run(PLAN), rows, 0.0, 25.0)
     stale = [now for now, health, _ in seen if health.sensors["a"].status == "stale"]
     assert 10.45 < stale[0] < 10.65
-    assert 15.0 + HOLD_S < stale[-1] < 15.3 + HOLD_S
+    assert 14.9 + HOLD_S < stale[-1] < 15.2 + HOLD_S
     assert len(stale) == round((stale[-1] - stale[0]) / 0.05) + 1
     for now, health, _ in seen:
         assert health.status == ("degraded" if stale[0] <= now <= stale[-1] else health.status)
@@ -86,21 +86,25 @@ def test_a_loss_is_a_reason_for_half_a_minute() -> None:
     assert seen[0][1].status == "degraded"
     assert "a: 3 samples missed on the way here" in seen[0][1].reasons
     ended = next(now for now, health, _ in seen if health.status == "healthy")
-    assert 5 + 30 + HOLD_S - 0.1 < ended < 5 + 30 + HOLD_S + 0.2
+    assert ended == pytest.approx(35, abs=0.1)
     assert "3 samples missed on the way here" in seen[-1][1].sensors["a"].notes
 
 
 def test_no_flapping_at_a_threshold() -> None:
     """Every 20th sample late, at random: the share is about its limit. Judged changes are few, raw ones many."""
     rng = np.random.default_rng(2)
-    rows = [r._replace(arrival=r.t + 2) if r.sensor == "a" and rng.random() < 0.05 else r for r in driving(1500)]
-    run, raw, judged = Run(PLAN), [], []
-    for now in np.arange(0.0, 150, 0.1):
+    rows = [r._replace(arrival=r.t + 2) if r.sensor == "a" and rng.random() < 0.055 else r for r in driving(3000)]
+    run, raw, judged = Run(PLAN), list[bool](), list[bool]()
+    for now in np.arange(0.0, 300, 0.1):
         run.feed(r for r in rows if now - 0.1 <= r.arrival < now)
-        raw.append("a.late" in codes(run.health()))
         judged.append("a.late" in codes(run.look(float(now))))
-    assert np.count_nonzero(np.diff(raw)) >= 8
-    assert np.count_nonzero(np.diff(judged)) <= np.count_nonzero(np.diff(raw)) / 2
+        held = run.memory.held.get(("a", "late"))
+        raw.append(held is not None and held.seen_ns == round(now * 1e9))
+    flaps = np.count_nonzero(np.diff(raw))
+    assert flaps >= 10
+    assert np.count_nonzero(np.diff(judged)) < 0.7 * flaps
+    for end in np.flatnonzero(np.diff(np.array(judged, int)) < 0) + 1:
+        assert not any(raw[end - 29 : end + 1])
     assert all(after for before, after in zip(raw, judged, strict=True) if before)
 
 
