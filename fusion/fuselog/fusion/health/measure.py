@@ -106,18 +106,22 @@ def _of_nis(whole: Ints, real: Floats, begin: int, end: int, limits: Floats, thr
 @inline
 def _of_the_last(whole: Ints, real: Floats, begin: int, end: int, out: Floats) -> None:
     """The median NIS per degree of freedom of the last few that were tried, and whether all of them were refused."""
-    ratios, k, refused = np.empty(FEWEST), 0, True
+    ordered, k, refused = np.empty(FEWEST), 0, True
     for j in range(end - 1, begin - 1, -1):
         dof, nis = whole[DOF, j], real[0, j]
         if dof <= 0 or not math.isfinite(nis) or k == FEWEST:
             continue
-        ratios[k] = nis / dof
+        place = k
+        while place and ordered[place - 1] > nis / dof:
+            ordered[place] = ordered[place - 1]
+            place -= 1
+        ordered[place] = nis / dof
         k += 1
         refused = refused and whole[DECISION, j] == _GATED
     out[MIDDLE_OF] = k
     out[LOCKED] = refused and k == FEWEST
     if k:
-        out[MIDDLE] = np.sort(ratios[:k])[k // 2]
+        out[MIDDLE] = ordered[k // 2]
 
 
 @inline

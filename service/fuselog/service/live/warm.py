@@ -3,6 +3,7 @@
 import numpy as np
 
 from fuselog.fusion import Filter, FixedLag, Outputs, Plan, Stream, compile_plan, parse_config
+from fuselog.fusion.health import assess, no_samples
 from fuselog.fusion.intake import Intake
 from fuselog.schemas import CdrEncoder, Messages, definition, pack
 
@@ -18,8 +19,9 @@ sensors:
 def warm_up(plan: Plan) -> None:
     """Compile the kernels of a plan, or load them from the cache: no sample and no result waits for it later."""
     _decode_one()
-    track = Filter(plan, order="as_received").feed(_messages([]))
-    Outputs(plan).encode(track)
+    filter = Filter(plan, order="as_received")
+    Outputs(plan).encode(filter.feed(_messages([])))
+    assess(plan, estimate=filter.estimate, ledger=filter.ledger, recent=no_samples(plan), losses={})
     if plan.config.smooth is not None:
         FixedLag(plan).warm_up()
 
