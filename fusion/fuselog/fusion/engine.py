@@ -261,6 +261,7 @@ def make_track(plan: Plan, events: Events, rows: Rows) -> Track:
         sensor=events.sensor,
         seq=events.seq,
         decision=rows.decision,
+        z=events.z,
         nis=rows.nis,
         dof=rows.dof,
         x=rows.x[: n * N].reshape(n, N),

@@ -6,6 +6,7 @@ from fuselog.schemas.encode import CdrEncoder
 from fuselog.schemas.errors import ConfigError, FuselogError, LogError, SchemaError
 from fuselog.schemas.layout import ColumnKind, Layout
 from fuselog.schemas.messages import Columns, Fault, Messages, Ragged, pack
+from fuselog.schemas.plain import PlainEncoder
 
 __all__ = [
     "CdrEncoder",
@@ -19,6 +20,7 @@ __all__ = [
     "LogError",
     "MessageType",
     "Messages",
+    "PlainEncoder",
     "Ragged",
     "SchemaError",
     "compile_codec",

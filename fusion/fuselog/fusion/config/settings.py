@@ -291,6 +291,7 @@ class SensorSettings(Settings):
     variance: dict[str, str] = Field(default_factory=dict, description="name: path of its variance in the message")
     covariance: str | None = Field(None, description="path of a square covariance of the numbers, in their order")
     stamp: str | None = Field(None, description="path of the stamp; found by itself as a rule")
+    rate: Positive | None = Field(None, description="Hz at which samples are expected; health says when it is another")
     noise: dict[str, Positive] = Field(
         default_factory=dict, description="sd in place of the message's; of an input: per root hertz"
     )

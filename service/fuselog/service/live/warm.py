@@ -3,6 +3,7 @@
 import numpy as np
 
 from fuselog.fusion import Filter, Outputs, Plan, Stream, compile_plan, parse_config
+from fuselog.fusion.health import assess, no_samples
 from fuselog.fusion.intake import Intake
 from fuselog.schemas import CdrEncoder, Messages, definition, pack
 
@@ -21,6 +22,7 @@ def warm_up(plan: Plan) -> None:
     filter = Filter(plan, order="as_received")
     filter.warm_up()
     Outputs(plan).encode(filter.feed(_messages([])))
+    assess(plan, estimate=filter.estimate, ledger=filter.ledger, recent=no_samples(plan), losses={})
 
 
 def _decode_one() -> None:
