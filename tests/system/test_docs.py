@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from fuselog.service.rest.api import create_app
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 
@@ -14,7 +15,6 @@ from fuselog.fusion.config import settings
 from fuselog.fusion.kernel.cache import model_card
 from fuselog.fusion.kernel.declared import MODEL_NAMES, find_model
 from fuselog.service.cli import make_app
-from fuselog.service.rest.api import create_app
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -45,6 +45,7 @@ _SECTIONS = {  # first cell of a table's head, or the heading above it: whose ke
     "smooth": settings.SmoothSettings,
     "zenoh": settings.ZenohSettings,
     "http": settings.HttpSettings,
+    "tls of http": settings.HttpTlsSettings,
     "record": settings.RecordSettings,
 }
 

@@ -39,6 +39,8 @@ class Window(NamedTuple):
     dof: NDArray[np.int64]
     innovation: NDArray[np.float64]  # (n, M)
     variance: NDArray[np.float64]  # (n, M) of the innovation
+    seq: NDArray[np.int64]  # how many samples of the sensor came before
+    arrival_ns: NDArray[np.int64]  # when it was received
 
 
 Recent = tuple[Window, ...]  # by rank
@@ -97,7 +99,8 @@ class Health:
 def no_samples(plan: Plan) -> Recent:
     """The memory of a filter that has seen nothing."""
     table = np.empty((0, plan.tables.M))
-    empty = Window(np.empty(0, np.int64), np.empty(0, np.uint8), np.empty(0), np.empty(0, np.int64), table, table)
+    none = np.empty(0, np.int64)
+    empty = Window(none, np.empty(0, np.uint8), np.empty(0), none, table, table, none, none)
     return (empty,) * len(plan.sensors)
 
 
@@ -178,6 +181,8 @@ def _remember(window: Window, track: Track, rank: int) -> Window:
         dof=np.concatenate([window.dof, track.dof[mine]])[kept],
         innovation=np.concatenate([window.innovation, track.innovation[mine]])[kept],
         variance=np.concatenate([window.variance, track.innovation_variance[mine]])[kept],
+        seq=np.concatenate([window.seq, track.seq[mine]])[kept],
+        arrival_ns=np.concatenate([window.arrival_ns, track.arrival_ns[mine]])[kept],
     )
 
 

@@ -24,6 +24,7 @@ COMMANDS = (
     "play",
     "record",
     "serve",
+    "token",
     "evaluate",
     "tune",
     "view",

@@ -6,8 +6,9 @@ from socket import socket
 
 from fuselog.fusion import Plan
 from fuselog.service.live.live_filter import LiveFilter, check_topics
-from fuselog.service.rest.api import LOOPBACK, Look, create_app
-from fuselog.service.rest.http import HttpServer, bind, is_loopback, refuse_exposure
+from fuselog.service.live.one_filter import OneFilter
+from fuselog.service.rest.app import create_app
+from fuselog.service.rest.http import HttpServer, allowed_hosts, bind, read_access, tls_context
 from fuselog.service.threads import Worker, WorkerError
 from fuselog.service.transport import open_session, service_endpoints
 
@@ -20,35 +21,37 @@ def serve(
     *,
     stop: threading.Event,
     started: Callable[[str], None],
-    expose_http: bool = False,
+    behind_proxy: bool = False,
     snapshot: threading.Event | None = None,
 ) -> None:
     """Run until ``stop`` is set, then fuse and publish what has come so far.
 
     ``started`` is called with the address for HTTP when all is compiled and connected. ``snapshot``, when set, asks
-    for one of the recording. Raises ``ConfigError``,
+    for one of the recording. ``behind_proxy``: HTTP comes from a proxy that has TLS. Raises ``ConfigError``,
     ``TransportError`` or ``HttpError`` when it cannot start, ``WorkerError`` when a part of it fails.
     """
     http = plan.config.http
     check_topics(plan)
-    if not expose_http:
-        refuse_exposure(http.host, plan.source)
+    access = read_access(http, plan.source, behind_proxy=behind_proxy)
+    tls = tls_context(http.tls, plan.source)
+    snapshot = snapshot or threading.Event()
     with bind(http.host, http.port) as listener:
-        filters: dict[str, LiveFilter] = {}  # empty until ready
-        looks: dict[str, Look] = {}
+        served = OneFilter(snapshot)
+        filters = served.filters  # empty until ready
         app = create_app(
-            looks,
+            served,
             alive=lambda: all(live.alive for live in filters.values()),
             ready=lambda: bool(filters) and not stop.is_set(),
-            hosts=LOOPBACK if is_loopback(http.host) else None,
+            access=access,
+            hosts=allowed_hosts(http),
+            streams=http.streams,
         )
-        server = HttpServer(app, listener)
+        server = HttpServer(app, listener, tls=tls)
         answering = Worker("HTTP server", server.run, stop.set)
         try:
             with open_session(service_endpoints(plan.config.zenoh), timeout_s=_CONNECT_S) as session:
-                live = LiveFilter(plan, session, ended=stop.set, snapshot=snapshot)
-                looks[plan.config.id], filters[plan.config.id] = live.snapshot, live
-                started(_address(listener))
+                filters[plan.config.id] = live = LiveFilter(plan, session, ended=stop.set, snapshot=snapshot)
+                started(_address(listener, "https" if tls else "http"))
                 stop.wait()
                 live.finish()
         finally:
@@ -58,6 +61,6 @@ def serve(
             raise WorkerError(answering) from answering.error
 
 
-def _address(listener: socket) -> str:
+def _address(listener: socket, scheme: str) -> str:
     host, port = listener.getsockname()[:2]
-    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+    return f"{scheme}://[{host}]:{port}" if ":" in host else f"{scheme}://{host}:{port}"
