@@ -40,18 +40,19 @@ class Access:
     tokens: tuple[Token, ...] = ()
     open: bool = True
 
-    def of(self, authorization: str | None, *, change: bool) -> Token | None:
-        """Who asks, None for nobody in particular; raises ``Refused`` (401, 403) when they may not."""
-        known = None if authorization is None else self._known(authorization)
-        if known is None and not (self.open and not change):
-            if change and not any(token.role == "control" for token in self.tokens):
-                raise Refused(403, f"nothing can be changed: there is no token of role control. To make one: {_HOW}")
+    def check(self, who: Token | None, *, change: bool) -> None:
+        """Raise ``Refused`` (401, 403) when they may not."""
+        if who is None and change and not any(token.role == "control" for token in self.tokens):
+            raise Refused(403, f"nothing can be changed: there is no token of role control. To make one: {_HOW}")
+        if who is None and (change or not self.open):
             raise _unknown("a token is needed: Authorization: Bearer TOKEN")
-        if known is not None and change and known.role != "control":
-            raise Refused(403, f"the token {known.name!r} has the role {known.role}; this needs control")
-        return known
+        if who is not None and change and who.role != "control":
+            raise Refused(403, f"the token {who.name!r} has the role {who.role}; this needs control")
 
-    def _known(self, authorization: str) -> Token:
+    def identify(self, authorization: str | None) -> Token | None:
+        """Who says so, None for who says nothing; raises ``Refused`` (401) for a token that is not known."""
+        if authorization is None:
+            return None
         scheme, _, secret = authorization.partition(" ")
         digest, found = sha256(secret.strip().encode("utf-8", "replace")).digest(), None
         for token in self.tokens:

@@ -72,7 +72,7 @@ def _check(content_type: str, body: bytes) -> None:
 def _deeper(value: Any, most: int) -> bool:
     """Whether there are containers in containers more often than ``most`` times; level by level, without recursion."""
     level = [value]
-    for _ in range(most + 1):
+    for _ in range(most):
         level = [each for node in level for each in _within(node)]
         if not level:
             return False

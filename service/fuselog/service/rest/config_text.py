@@ -18,7 +18,7 @@ from fuselog.replay.tune.copy import text_with_gain
 MASK = "***"
 _SECRET = re.compile(r"password|passwd|secret|credential|private", re.IGNORECASE)
 _PATHS = re.compile(r"_(file|env)$")  # keys that name where a secret is
-_IN_URL = re.compile(r"(//[^/\s:@\"']*:)[^/\s@\"']+@")
+_IN_URL = re.compile(r"(/[^/\s:@\"']+:)[^/\s@\"']+@")  # tcp/NAME:SECRET@HOST too
 _KEPT_UNLESS_GIVEN = ("mode", "covariance", "reacquire")  # by text_with_gain
 
 

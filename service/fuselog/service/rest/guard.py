@@ -45,12 +45,10 @@ class Guard:
         visit = _Visit(scope, send, self._traffic)
         try:
             self._check_host(visit)
-            who = visit.who = self._check_token(visit)
+            self._check_token(visit)
             if visit.method not in _READING:
                 visit.body = await read_body(visit.headers, receive)
                 receive = _replay(visit.body, receive)
-            if who is not None:
-                scope["state"]["who"] = who.name
             await self._pass(visit, receive)
         except Refused as error:
             self._traffic.refused[str(error.status_code)] += 1
@@ -80,13 +78,14 @@ class Guard:
         if len(hosts) != 1 or _without_port(hosts[0]) not in self._hosts:
             raise Refused(400, f"this service does not answer for host {', '.join(hosts)[:256]!r}")
 
-    def _check_token(self, visit: "_Visit") -> Token | None:
+    def _check_token(self, visit: "_Visit") -> None:
         if visit.path in OPEN or visit.path.startswith(_OPEN_UNDER):
-            return None
+            return
         given = visit.headers.getlist("authorization")
         if len(given) > 1:
             raise Refused(400, "more than one Authorization")
-        return self._access.of(given[0] if given else None, change=visit.method not in _READING)
+        visit.who = self._access.identify(given[0] if given else None)
+        self._access.check(visit.who, change=visit.method not in _READING)
 
     def _write(self, visit: "_Visit") -> None:
         if visit.method in _READING or not visit.status:
@@ -112,7 +111,6 @@ class _Visit:
         self.headers = Headers(scope=scope)
         self.client = scope["client"][0] if scope.get("client") else ""
         self._send, self._traffic = send, traffic
-        scope.setdefault("state", {})
 
     async def send(self, message: Message) -> None:
         """The answer, with the headers that every one has."""
