@@ -296,7 +296,19 @@ def test_openapi_describes_what_there_is(client: Make, robot: Robot) -> None:
     assert state["get"]["responses"]["200"]["content"]["application/json"]["schema"] == {
         "$ref": "#/components/schemas/StateAnswer"
     }
-    assert set(state["get"]["responses"]) == {"200", "304", "400", "401", "403", "404", "409", "422", "500", "503"}
+    assert set(state["get"]["responses"]) == {
+        "200",
+        "304",
+        "400",
+        "401",
+        "403",
+        "404",
+        "409",
+        "422",
+        "431",
+        "500",
+        "503",
+    }
     assert {"408", "413", "415"} <= set(state["put"]["responses"])
     assert "application/problem+json" in state["get"]["responses"]["422"]["content"]
     assert state["get"]["security"] == [{"token": []}]

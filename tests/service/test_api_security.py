@@ -276,7 +276,7 @@ def test_addresses(http: str, tokens: bool, behind_proxy: bool, reason: str | No
         local = config.http.host in ("127.0.0.1", "::1", "localhost")
         assert access.open is (local and not behind_proxy)
         return
-    with pytest.raises(ConfigError, match="http[.]host") as raised:
+    with pytest.raises(ConfigError, match=r"http\.host") as raised:
         read_access(config.http, where, behind_proxy=behind_proxy, environment=environment)
     assert reason in str(raised.value)
 

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 import typer
-from fuselog.service.live.one_filter import OneFilter
-from fuselog.service.rest.app import create_app
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 
@@ -17,6 +15,8 @@ from fuselog.fusion.config import settings
 from fuselog.fusion.kernel.cache import model_card
 from fuselog.fusion.kernel.declared import MODEL_NAMES, find_model
 from fuselog.service.cli import make_app
+from fuselog.service.live.one_filter import OneFilter
+from fuselog.service.rest.app import create_app
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

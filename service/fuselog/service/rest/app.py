@@ -21,7 +21,7 @@ from fuselog.service.rest.stream import Streams, add_stream
 from fuselog.service.rest.traffic import Traffic
 from fuselog.service.rest.waiting import Waiting
 
-_EVERYWHERE = documented(400, 401, 403, 422, 500, 503)
+_EVERYWHERE = documented(400, 401, 403, 422, 431, 500, 503)
 
 
 def create_app(

@@ -18,6 +18,7 @@ OPEN = ("/", "/openapi.json", *PROBES)  # nothing of a filter is in their answer
 _OPEN_UNDER = "/page/"
 _READING = ("GET", "HEAD", "OPTIONS")
 _MOST_ACTIVE = 64
+_MOST_HEADER_BYTES = 16_384
 _STREAM = "/api/v1/stream"
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -44,6 +45,7 @@ class Guard:
             return await self._app(scope, receive, send)
         visit = _Visit(scope, send, self._traffic)
         try:
+            _check_headers(visit)
             self._check_host(visit)
             self._check_token(visit)
             if visit.method not in _READING:
@@ -98,6 +100,13 @@ class Guard:
             status=visit.status,
             body=visit.body,
         )
+
+
+def _check_headers(visit: "_Visit") -> None:
+    """The server sees to headers that do not end; those that came in one piece are counted here."""
+    size = sum(len(name) + len(value) + 4 for name, value in visit.headers.raw)
+    if size + len(visit.scope.get("raw_path", b"")) + len(visit.scope.get("query_string", b"")) > _MOST_HEADER_BYTES:
+        raise Refused(431, f"the headers are larger than {_MOST_HEADER_BYTES} bytes", headers={"Connection": "close"})
 
 
 class _Visit:

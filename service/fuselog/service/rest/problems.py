@@ -24,6 +24,7 @@ _MEANS = {
     413: "The body is larger than 1 MiB",
     415: "The body is no application/json",
     422: "A parameter or the body is not valid",
+    431: "The headers are larger than 16 KiB",
     500: "A defect of the service",
     503: "Too much is asked at once, or the filter does not answer in time",
 }

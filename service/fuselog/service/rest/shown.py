@@ -14,6 +14,7 @@ from fuselog.service.rest.problems import Refused
 from fuselog.service.rest.served import Served
 
 FRESH_S = 0.1  # how old the health that is shown may be
+_TOLD_S = 0.05  # and an event of the stream, which has up to ten in a second
 
 
 class Health(NamedTuple):
@@ -31,7 +32,7 @@ class Shown:
         self.served = served
         self._clock = clock
         self._health: dict[str, Health] = {}
-        self._told: tuple[float, bytes] = (-FRESH_S, b"")
+        self._told: tuple[float, bytes] = (-_TOLD_S, b"")
 
     def all(self) -> Mapping[str, Snapshot]:
         """Every filter that runs."""
@@ -69,14 +70,14 @@ class Shown:
     def told(self) -> bytes:
         """The data of one event of the stream, the same for all who are told within a moment."""
         now = self._clock()
-        if now - self._told[0] >= FRESH_S:
+        if now - self._told[0] >= _TOLD_S:
             filters = {id: self._event(id, snapshot) for id, snapshot in self.all().items()}
             self._told = now, orjson.dumps({"t": time.time_ns(), "filters": filters})
         return self._told[1]
 
     def forget(self, id: str | None = None) -> None:
         """Look anew at the next request: something was changed."""
-        self._told = (-FRESH_S, b"")
+        self._told = (-_TOLD_S, b"")
         self._health.pop(id, None) if id is not None else self._health.clear()
 
     def _event(self, id: str, snapshot: Snapshot) -> dict[str, Any]:
