@@ -15,7 +15,7 @@ MOST_LABELS = 200  # sets of labels of one metric
 OTHER = "other"
 _TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _STATUS = {"initializing": 0, "waiting": 0, "healthy": 1, "ok": 1, "degraded": 2, "diverged": 3, "stale": 4}
-_NOT_FIGURES = ("account", "losses", "status")  # they are metrics of their own
+_NOT_FIGURES = ("account", "losses", "status", "sensors", "recording", "unpublished", "idle_s")  # metrics of their own
 
 
 class _Family(NamedTuple):
@@ -31,7 +31,8 @@ class FilterMetrics(Collector):
     """Reads the filters at each scrape.
 
     Beyond 199 sets of labels of a metric the rest is one more, named ``other``: the sum for counters, the greatest
-    for gauges. Every number in the health of a sensor is a gauge ``fuselog_sensor_...`` without a line here.
+    for gauges. Every number in the health of a filter or sensor is a gauge ``fuselog_filter_...`` or
+    ``fuselog_sensor_...`` without a line here.
     """
 
     def __init__(self, shown: Shown, traffic: Traffic) -> None:
@@ -61,8 +62,8 @@ _HELP = {
     "filter_status": "0 initializing, 1 healthy, 2 degraded, 3 diverged, 4 stale",
     "unpublished": "Results dropped because subscribers were too slow",
     "idle_seconds": "Since any sample came",
-    "optimality_ratio": "Variances over those of the optimal gain",
-    "samples": "Samples by what became of them; their sum is what was received",
+    "samples": "Samples by what became of them; with those pending their sum is what was received",
+    "pending": "Samples that wait",
     "lost": "Samples that came to no sensor, by key",
     "sensor_status": "0 ok, 1 waiting, 2 degraded, 3 stale, 4 disabled",
     "recording": "1 while it records",
@@ -91,13 +92,15 @@ def _of_filter(families: dict[str, _Family], id: str, health: dict[str, Any]) ->
     add("filter_status", "gauge", _STATUS.get(health["status"]))
     add("unpublished", "counter", health["unpublished"])
     add("idle_seconds", "gauge", health["idle_s"])
-    add("optimality_ratio", "gauge", health["optimality_ratio"])
+    for figure, value in _figures(health):
+        _add(families, f"filter_{figure}", "gauge", _described("filter", figure), value, filter=id)
     for name, sensor in health["sensors"].items():
         add("sensor_status", "gauge", _SENSOR_STATUS.get(sensor["status"]), sensor=name)
+        add("pending", "gauge", sensor["account"]["pending"], sensor=name)
         for term, value in _terms(sensor["account"]):
             add("samples", "counter", value, sensor=name, became=term)
         for figure, value in _figures(sensor):
-            _add(families, f"sensor_{figure}", "gauge", _described(figure), value, filter=id, sensor=name)
+            _add(families, f"sensor_{figure}", "gauge", _described("sensor", figure), value, filter=id, sensor=name)
     if health["recording"] is not None:
         recording = health["recording"]
         add("recording", "gauge", recording["state"] == "recording")
@@ -118,13 +121,13 @@ def _terms(account: Mapping[str, Any]) -> Iterator[tuple[str, int]]:
     for term, value in account.items():
         if isinstance(value, Mapping):
             yield from ((f"{term}_{reason}", int(each)) for reason, each in value.items())  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]  counters by reason
-        elif term != "received":
+        elif term not in ("received", "pending"):
             yield term, int(value)
 
 
-def _figures(sensor: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    """The numbers in the health of a sensor, and in the groups in it; stamps are none, nor what is by number."""
-    for name, value in sensor.items():
+def _figures(health: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    """The numbers in the health of a filter or sensor, and in the groups in it; stamps are none."""
+    for name, value in health.items():
         if name in _NOT_FIGURES or name.endswith("_ns"):
             continue
         if isinstance(value, int | float):
@@ -139,8 +142,8 @@ def _named(figure: str) -> str:
     return figure.removesuffix("_s") + "_seconds" if figure.endswith("_s") else figure
 
 
-def _described(figure: str) -> str:
-    return f"As health says of a sensor: {figure.replace('_', ' ')}"
+def _described(what: str, figure: str) -> str:
+    return f"As health says of a {what}: {figure.replace('_', ' ')}"
 
 
 def _of_traffic(families: dict[str, _Family], traffic: Traffic) -> None:

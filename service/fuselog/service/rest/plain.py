@@ -6,28 +6,33 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, create_model
 
 Number = float | None  # JSON has neither NaN nor infinity
 
+_AS_THEY_ARE = (str, int, bool, type(None))
+
 
 def plain(value: Any) -> Any:
     """A value as dictionaries, lists, text and numbers; None for numbers that are not finite."""
-    if value is None or isinstance(value, str | int):
-        return value.name.lower() if isinstance(value, Enum) else value
-    if isinstance(value, float):
+    kind = cast(type, type(value))
+    if kind in _AS_THEY_ARE:
+        return value
+    if kind is float:
         return value if math.isfinite(value) else None
-    names = _names(type(value))  # pyright: ignore[reportUnknownArgumentType]  any
+    names = _names(kind)
     if names:
         return {name: plain(getattr(value, name)) for name in names}
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]  data of any shape
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
-    if isinstance(value, Sequence | set | frozenset):
+    if isinstance(value, Enum):
+        return value.name.lower()
+    if isinstance(value, Sequence | set | frozenset) and not isinstance(value, str):
         return [plain(each) for each in value]  # pyright: ignore[reportUnknownVariableType]  the same
     return str(value)
 

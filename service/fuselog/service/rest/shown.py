@@ -13,7 +13,7 @@ from fuselog.service.rest.plain import plain
 from fuselog.service.rest.problems import Refused
 from fuselog.service.rest.served import Served
 
-FRESH_S = 0.1  # how old the health that is shown may be
+FRESH_S = 0.2  # how old the health that is shown may be
 _TOLD_S = 0.05  # and an event of the stream, which has up to ten in a second
 
 
