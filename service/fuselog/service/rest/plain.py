@@ -18,7 +18,7 @@ _AS_THEY_ARE = (str, int, bool, type(None))
 
 def plain(value: Any) -> Any:
     """A value as dictionaries, lists, text and numbers; None for numbers that are not finite."""
-    kind = cast(type, type(value))
+    kind = cast(type[Any], type(value))  # pyright: ignore[reportUnnecessaryCast]  of anything
     if kind in _AS_THEY_ARE:
         return value
     if kind is float:
