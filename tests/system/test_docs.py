@@ -2,10 +2,12 @@
 
 import re
 import shlex
+import threading
 from pathlib import Path
 
 import pytest
 import typer
+from fuselog.service.live.standby import Standby
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 
@@ -14,7 +16,7 @@ from fuselog.fusion.config import settings
 from fuselog.fusion.kernel.cache import model_card
 from fuselog.fusion.kernel.declared import MODEL_NAMES, find_model
 from fuselog.service.cli import make_app
-from fuselog.service.rest.api import create_app
+from fuselog.service.rest.app import create_app
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -46,6 +48,7 @@ _SECTIONS = {  # first cell of a table's head, or the heading above it: whose ke
     "zenoh": settings.ZenohSettings,
     "tls": settings.TlsSettings,
     "http": settings.HttpSettings,
+    "tls of http": settings.HttpTlsSettings,
     "record": settings.RecordSettings,
 }
 
@@ -153,10 +156,12 @@ def test_python_runs(page, tmp_path, monkeypatch, capsys):
 
 
 def test_every_path_of_the_interface_is_documented():
-    app = create_app({}, alive=lambda: True, ready=lambda: True)
+    served = Standby())
+    app = create_app(served, alive=lambda: True, ready=lambda: True)
     text = (DOCS / "http.md").read_text()
-    paths = {path for path in app.openapi()["paths"]}
-    assert paths <= set(re.findall(r"`GET (\S+)`", text))
+    for path, operations in app.openapi()["paths"].items():
+        for method in operations:
+            assert re.search(rf"`{method.upper()} {re.escape(path)}[`?]", text), (method, path)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fuselog.service.rest.api import create_app
+    from fuselog.service.rest.app import create_app
 
 __all__ = ["create_app"]
 
@@ -12,6 +12,6 @@ def __getattr__(name: str) -> Any:
     """``create_app``, imported when it is asked for, so that commands which serve nothing start fast."""
     if name != "create_app":
         raise AttributeError(name)
-    from fuselog.service.rest.api import create_app  # noqa: PLC0415  see above
+    from fuselog.service.rest.app import create_app  # noqa: PLC0415  see above
 
     return create_app

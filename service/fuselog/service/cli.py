@@ -25,6 +25,7 @@ COMMANDS = (
     "record",
     "serve",
     "verify",
+    "token",
     "evaluate",
     "tune",
     "view",

@@ -325,6 +325,7 @@ class SensorSettings(Settings):
         None, description="constant, zero_velocity: path of a number; messages where it is 0 are no samples"
     )
     states: StatesSettings = Field(StatesSettings.model_validate({}), description="what of the sensor is estimated")
+    enabled: bool = Field(True, description="false: its samples are counted, not fused")
 
 
 class OutputSettings(Settings):
@@ -379,11 +380,26 @@ class ZenohSettings(Settings):
     raw: dict[str, Any] = Field(default_factory=dict, description="any other key of Zenoh's configuration by its path")
 
 
+class HttpTlsSettings(Settings):
+    """The service's certificate (PEM); paths are from the folder of the configuration."""
+
+    certificate: str = Field(min_length=1, description="file: the certificate, and those up to its authority")
+    key: str = Field(min_length=1, description="file that others cannot read: the certificate's private key")
+
+
 class HttpSettings(Settings):
-    """Where health is served."""
+    """Where the service answers, and whom."""
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8080
+    tokens: str | None = Field(
+        None, description="file that others cannot read, from the folder of the configuration: who may read and control"
+    )
+    tls: HttpTlsSettings | None = Field(None, description="HTTPS in place of HTTP")
+    hosts: list[str] = Field(
+        default_factory=list, description="names that requests may be for; those of loopback may always be used"
+    )
+    streams: Annotated[int, Field(ge=0, le=1000)] = Field(64, description="most clients of the stream at one time")
 
 
 class RecordSettings(Settings):
@@ -425,6 +441,6 @@ class Config(Settings):
     output: OutputSettings = OutputSettings.model_validate({})
     smooth: SmoothSettings | None = Field(None, description="fixed-lag smoothing; by default none")
     zenoh: ZenohSettings = ZenohSettings.model_validate({})
-    http: HttpSettings = HttpSettings()
+    http: HttpSettings = HttpSettings.model_validate({})
     record: RecordSettings | None = Field(None, description="of a live service; by default nothing is recorded")
     fleet: FleetSettings = FleetSettings.model_validate({})

@@ -11,21 +11,28 @@ from fuselog.service.signals import stop_and_snapshot
 
 def serve(
     configs: Annotated[list[Path], typer.Argument(help="Fusion configurations (YAML), each of one filter or more.")],
-    expose_http: Annotated[
+    behind_proxy: Annotated[
         bool,
-        typer.Option("--expose-http", help="Allow http.host to be reached by others, who are not asked who they are."),
+        typer.Option("--behind-proxy", help="HTTP comes from a proxy that has TLS; whoever asks needs a token."),
     ] = False,
+    expose_http: Annotated[bool, typer.Option("--expose-http", hidden=True)] = False,
 ) -> None:
     """Fuse what comes on Zenoh, publish the estimates, and answer for health over HTTP.
 
     SIGTERM or Ctrl-C ends it after what has come is fused and published; Ctrl-C again ends it at once.
     SIGUSR1 writes a snapshot, where the configuration keeps one (record: snapshot).
     """
+    if expose_http:
+        raise typer.BadParameter(
+            "is no more: set http.tokens and http.tls, or --behind-proxy", param_hint="--expose-http"
+        )
     from fuselog.fusion import load_plan  # noqa: PLC0415  slow to import
     from fuselog.service.live.serving import serve as run  # noqa: PLC0415  slow to import
+    from fuselog.service.rest.audit import audit_to_stderr  # noqa: PLC0415  slow to import
     from fuselog.service.transport import service_endpoints  # noqa: PLC0415  slow to import
 
     plans = [load_plan(config) for config in configs]
+    audit_to_stderr()
     stop, snapshot = stop_and_snapshot()
     at = service_endpoints(plans[0].config.zenoh, plans[0].source)
     where, names = ", ".join([*at.listen, *at.connect]), ", ".join(repr(plan.config.id) for plan in plans)
@@ -33,6 +40,6 @@ def serve(
         plans,
         stop=stop,
         started=lambda address: stderr.print(f"ready: filter {names} on {where}, health at {address}"),
-        expose_http=expose_http,
+        behind_proxy=behind_proxy,
         snapshot=snapshot,
     )

@@ -11,10 +11,10 @@ from typing import Literal, TypeVar
 
 import zenoh
 
-from fuselog.fusion import Estimate
-from fuselog.fusion.commands import Command, CommandError
+from fuselog.fusion import Estimate, load_plan
+from fuselog.fusion.commands import Command, CommandError, Configure
 from fuselog.replay.recording import RecordingStatus
-from fuselog.service.live.group import Group
+from fuselog.service.live.group import Group, make_group
 from fuselog.service.live.inbox import Inbox
 from fuselog.service.live.keys import ByPattern, Captures
 from fuselog.service.live.member import Member, Snapshot
@@ -100,7 +100,19 @@ class Fleet:
 
     def reload(self) -> list[str]:
         """As ``Served``."""
-        raise CommandError("reloading is not available yet")
+        fresh = [(group, make_group(load_plan(group.plan.source.name))) for group in self._groups]
+        for group, new in fresh:
+            if new.patterns != group.patterns or new.plan.config.id != group.plan.config.id:
+                raise CommandError(f"{group.plan.source.name}: id or topics are others; restart the service for that")
+        done: list[str] = []
+        for group, new in fresh:
+            if new.plan.source.text == group.plan.source.text:
+                continue
+            for id in [id for id in self._runner.snapshots if self._runner.group_of(id) is group]:
+                self.command(id, Configure(new.plan.source.text))
+                done.append(f"{id} goes on with {group.plan.source.name} as it is now")
+            group.plan = new.plan
+        return done or ["nothing has changed"]
 
     def record(self, id: str, what: Literal["start", "stop", "snapshot"]) -> RecordingStatus:
         """As ``Served``."""

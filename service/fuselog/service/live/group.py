@@ -12,9 +12,12 @@ from fuselog.service.transport import TransportError, key_of
 _DEFAULT_ID = "filter"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Group:
-    """A configuration whose topics may hold captures such as ``{robot}``; ``plan`` is compiled from it as it stands."""
+    """A configuration whose topics may hold captures such as ``{robot}``.
+
+    ``plan`` is compiled from it as it stands; a reload puts another there, for the filters that begin afterwards.
+    """
 
     plan: Plan
     patterns: tuple[KeyPattern, ...]

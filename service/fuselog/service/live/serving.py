@@ -1,17 +1,16 @@
 """The live service: filters on Zenoh and their health over HTTP, from start to an orderly end."""
 
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from socket import socket
 
 from fuselog.fusion import Plan
 from fuselog.fusion.config import Problem
 from fuselog.service.live.fleet import Fleet
 from fuselog.service.live.group import make_group
-from fuselog.service.live.member import Snapshot
-from fuselog.service.rest.api import LOOPBACK, Look, create_app
-from fuselog.service.rest.http import HttpServer, bind, is_loopback, refuse_exposure
+from fuselog.service.live.standby import Standby
+from fuselog.service.rest.app import create_app
+from fuselog.service.rest.http import HttpServer, allowed_hosts, bind, read_access, tls_context
 from fuselog.service.threads import Worker, WorkerError
 from fuselog.service.transport import open_session, service_endpoints
 
@@ -26,36 +25,38 @@ def serve(
     *,
     stop: threading.Event,
     started: Callable[[str], None],
-    expose_http: bool = False,
+    behind_proxy: bool = False,
     snapshot: threading.Event | None = None,
 ) -> None:
     """Run the filters of ``plans`` until ``stop`` is set, then fuse and publish what has come so far.
 
     ``started`` is called with the address for HTTP when all is compiled and connected. ``snapshot``, when set, asks
-    for one of the recordings. Raises ``ConfigError``, ``TransportError`` or ``HttpError`` when it cannot start,
-    ``WorkerError`` when a part of it fails.
+    for one of the recordings. ``behind_proxy``: HTTP comes from a proxy that has TLS. Raises ``ConfigError``,
+    ``TransportError`` or ``HttpError`` when it cannot start, ``WorkerError`` when a part of it fails.
     """
     first = plans[0]
     http = first.config.http
     _check_shared(plans)
     groups = [make_group(plan) for plan in plans]
-    if not expose_http:
-        refuse_exposure(http.host, first.source)
+    access = read_access(http, first.source, behind_proxy=behind_proxy)
+    tls = tls_context(http.tls, first.source)
     with bind(http.host, http.port) as listener:
-        fleets: list[Fleet] = []  # empty until ready
+        served = Standby()
         app = create_app(
-            _Looks(fleets),
-            alive=lambda: all(fleet.alive for fleet in fleets),
-            ready=lambda: bool(fleets) and not stop.is_set(),
-            hosts=LOOPBACK if is_loopback(http.host) else None,
+            served,
+            alive=lambda: served.alive,
+            ready=lambda: served.ready and not stop.is_set(),
+            access=access,
+            hosts=allowed_hosts(http),
+            streams=http.streams,
         )
-        server = HttpServer(app, listener)
+        server = HttpServer(app, listener, tls=tls)
         answering = Worker("HTTP server", server.run, stop.set)
         try:
             with open_session(service_endpoints(first.config.zenoh, first.source), timeout_s=_CONNECT_S) as session:
                 fleet = Fleet(groups, session, ended=stop.set, snapshot=snapshot)
-                fleets.append(fleet)
-                started(_address(listener))
+                served.fleet = fleet
+                started(_address(listener, "https" if tls else "http"))
                 while not stop.wait(_TEND_S):
                     fleet.tend()
                 fleet.finish()
@@ -64,28 +65,6 @@ def serve(
             answering.join(_HTTP_S)
         if answering.error is not None:
             raise WorkerError(answering) from answering.error
-
-
-class _Looks(Mapping[str, Look]):
-    """The filters as they come and go."""
-
-    def __init__(self, fleets: Sequence[Fleet]) -> None:
-        self._fleets = fleets
-
-    def _all(self) -> Mapping[str, Snapshot]:
-        return {id: snapshot for fleet in self._fleets for id, snapshot in fleet.snapshots().items()}
-
-    def __getitem__(self, id: str) -> Look:
-        return partial(self._all().__getitem__, id)
-
-    def __contains__(self, id: object) -> bool:
-        return id in self._all()
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._all())
-
-    def __len__(self) -> int:
-        return len(self._all())
 
 
 def _check_shared(plans: Sequence[Plan]) -> None:
@@ -104,6 +83,6 @@ def _check_shared(plans: Sequence[Plan]) -> None:
             raise plan.source.complain(problems)
 
 
-def _address(listener: socket) -> str:
+def _address(listener: socket, scheme: str) -> str:
     host, port = listener.getsockname()[:2]
-    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+    return f"{scheme}://[{host}]:{port}" if ":" in host else f"{scheme}://{host}:{port}"

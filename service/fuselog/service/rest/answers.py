@@ -1,17 +1,17 @@
 """What the REST interface answers, as types that its OpenAPI document shows."""
 
-import math
-from typing import Any, Literal
+from typing import Any, Literal, get_type_hints
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, create_model
 
-from fuselog.fusion.health import Health, Losses, SensorHealth, SensorStatus, Status
+from fuselog.fusion import Estimate, Plan
+from fuselog.fusion.health import Health, Losses, SensorHealth
+from fuselog.fusion.ledger import Account
 from fuselog.fusion.report import estimate_json
 from fuselog.replay.recording import RecordingStatus
 from fuselog.service.live.member import Snapshot
 from fuselog.service.recording.record import status_json
-
-Number = float | None  # JSON has neither NaN nor infinity
+from fuselog.service.rest.plain import Number, by_name, many, model_of, plain
 
 
 class Probe(BaseModel):
@@ -20,96 +20,30 @@ class Probe(BaseModel):
     status: Literal["ok"]
 
 
-class Problem(BaseModel):
-    """RFC 9457."""
+class Done(BaseModel):
+    """What was done."""
 
-    type: str = "about:blank"
-    title: str
-    status: int
-    detail: str
+    done: list[str]
 
 
-class FilterAnswer(BaseModel):
+class _Filter(BaseModel):
     """One filter in the list."""
 
     id: str
     model: str
     states: list[str]
     sensors: list[str]
-    status: Status
-
-
-class FiltersAnswer(BaseModel):
-    """All filters."""
-
-    filters: list[FilterAnswer]
+    ended: bool = Field(description="it is gone; what is known of it is its last snapshot")
 
 
 class StateAnswer(BaseModel):
-    """The newest estimate; floats have every digit."""
+    """An estimate; floats have every digit."""
 
     t_ns: int | None = Field(description="ns; null while nothing was fused")
     state: dict[str, Number]
     position: list[Number] | None
     covariance: list[list[Number]] = Field(description="row by row, in the order of the states")
     not_measured_yet: list[str]
-
-
-class AccountAnswer(BaseModel):
-    """received = fused + gated + late + duplicate + skipped + disabled + pending + the sum of invalid."""
-
-    received: int
-    fused: int
-    gated: int
-    late: int
-    duplicate: int
-    skipped: int
-    disabled: int
-    pending: int
-    invalid: dict[str, int]
-
-
-class LossesAnswer(BaseModel):
-    """What did not get as far as the filter."""
-
-    shed: int
-    missed: int
-    unknown: int
-    reason: str
-
-
-class NisAnswer(BaseModel):
-    """Consistency over the last samples."""
-
-    tried: int
-    mean: Number
-    dof: Number
-    outside_95: Number
-    above_95: Number
-
-
-class GainAnswer(BaseModel):
-    """Lag-1 correlation of the innovations by number: 0 is to be expected of the optimal gain only."""
-
-    correlation: dict[str, Number]
-    expected: dict[str, Number] | None
-    mismatch: Number
-
-
-class SensorAnswer(BaseModel):
-    """One sensor; null where there was nothing to examine."""
-
-    topic: str
-    status: SensorStatus
-    reasons: list[str]
-    notes: list[str]
-    account: AccountAnswer
-    losses: LossesAnswer
-    nis: NisAnswer | None
-    gain: GainAnswer | None
-    last_stamp_ns: int | None
-    period_s: Number
-    age_s: Number
 
 
 class RecordingAnswer(BaseModel):
@@ -129,93 +63,84 @@ class RecordingAnswer(BaseModel):
     missed: int
 
 
-class HealthAnswer(BaseModel):
-    """One filter: what is wrong, and why."""
+SensorAnswer = model_of(SensorHealth)
+FilterAnswer = create_model(
+    "FilterAnswer", __base__=_Filter, __doc__=_Filter.__doc__, status=(get_type_hints(Health)["status"], ...)
+)
+FiltersAnswer = create_model("FiltersAnswer", __doc__="All filters.", filters=(many(FilterAnswer), ...))
+HealthAnswer = create_model(
+    "HealthAnswer",
+    __base__=model_of(Health),
+    __doc__="One filter: what is wrong, and why.",
+    unpublished=(int, Field(description="results dropped because subscribers were too slow")),
+    idle_s=(Number, Field(description="since any sample came, by the clock of the service")),
+    recording=(RecordingAnswer | None, Field(description="null when nothing is to be recorded")),
+)
+SensorsAnswer = create_model("SensorsAnswer", __doc__="All sensors of a filter.", sensors=(by_name(SensorAnswer), ...))
 
-    status: Status
-    reasons: list[str]
-    t_ns: int | None
-    finite: bool
-    positive: bool
-    optimality_ratio: Number = Field(description="variances over those of the optimal gain; null when it is used")
-    unpublished: int = Field(description="results dropped because subscribers were too slow")
-    idle_s: Number = Field(description="since any sample came, by the clock of the service")
-    recording: RecordingAnswer | None = Field(description="null when nothing is to be recorded")
-    sensors: dict[str, SensorAnswer]
+LedgerAnswer = create_model(
+    "LedgerAnswer",
+    __doc__="Every sample: received = fused + gated + late + duplicate + skipped + pending + the sum of invalid.",
+    sensors=(by_name(model_of(Account)), ...),
+    keys=(by_name(model_of(Losses)), Field(description="what was lost of a key before it came to a sensor")),
+    publishers=(dict[str, dict[str, Any]], Field(description="what came from each publisher, by key")),
+    unpublished=(int, Field(description="results dropped because subscribers were too slow")),
+)
 
 
-def state_answer(snapshot: Snapshot) -> StateAnswer:
-    """The newest estimate of a filter."""
-    return StateAnswer.model_validate(_finite(estimate_json(snapshot.plan, snapshot.estimate)))
+def state_plain(plan: Plan, estimate: Estimate) -> dict[str, Any]:
+    """An estimate."""
+    return plain(estimate_json(plan, estimate))
 
 
-def filter_answer(snapshot: Snapshot) -> FilterAnswer:
+def filter_plain(snapshot: Snapshot, status: str, *, ended: bool) -> dict[str, Any]:
     """A filter in the list."""
     plan = snapshot.plan
-    return FilterAnswer(
-        id=plan.config.id,
-        model=plan.card.name,
-        states=list(plan.states),
-        sensors=[sensor.name for sensor in plan.sensors],
-        status=snapshot.health.status,
-    )
+    return {
+        "id": plan.config.id,
+        "model": plan.card.name,
+        "states": list(plan.states),
+        "sensors": [sensor.name for sensor in plan.sensors],
+        "status": status,
+        "ended": ended,
+    }
 
 
-def health_answer(snapshot: Snapshot, *, now: float) -> HealthAnswer:
-    """The health of a filter at monotonic time ``now`` (s)."""
-    health: Health = snapshot.health
-    dropped = snapshot.unpublished
-    late = [f"{dropped} results not published: subscribers are too slow"] if dropped else []
-    recording = snapshot.recording
-    wrong = [*late, *([] if recording is None else _recording_reasons(recording))]
-    return HealthAnswer(
-        status="degraded" if wrong and health.status == "healthy" else health.status,
-        reasons=[*wrong, *health.reasons],
-        t_ns=health.t_ns,
-        finite=health.finite,
-        positive=health.positive,
-        optimality_ratio=health.optimality_ratio,
-        unpublished=dropped,
-        idle_s=None if snapshot.last_arrival is None else now - snapshot.last_arrival,
-        sensors={name: _sensor(sensor) for name, sensor in health.sensors.items()},
-        recording=None if recording is None else _recording(recording),
-    )
+def health_plain(snapshot: Snapshot) -> dict[str, Any]:
+    """The health of a filter and of its results, without ``idle_s``, which is never the same twice."""
+    health: dict[str, Any] = plain(snapshot.health)
+    dropped, recording = snapshot.unpublished, snapshot.recording
+    wrong = [f"{dropped} results not published: subscribers are too slow"] if dropped else []
+    wrong += [] if recording is None else _recording_reasons(recording)
+    health["reasons"] = [*wrong, *health["reasons"]]
+    if wrong and health["status"] == "healthy":
+        health["status"] = "degraded"
+    return {
+        **health,
+        "unpublished": dropped,
+        "recording": None if recording is None else recording_plain(recording),
+    }
+
+
+def recording_plain(status: RecordingStatus) -> dict[str, Any]:
+    """A recording at one moment."""
+    told = status_json(status)
+    del told["topics"]
+    files = told.pop("files")
+    return {"file": files[-1] if files else None, "files": len(files), **told}
+
+
+def ledger_plain(snapshot: Snapshot) -> dict[str, Any]:
+    """Every sample that was received, and those that were not."""
+    return {
+        "sensors": plain(snapshot.ledger),
+        "keys": plain(snapshot.losses),
+        "publishers": plain(snapshot.progress),
+        "unpublished": snapshot.unpublished,
+    }
 
 
 def _recording_reasons(status: RecordingStatus) -> list[str]:
     stopped = [f"the recording stopped: {status.reason}"] if status.state == "stopped" else []
     dropped = status.total.dropped
     return [*stopped, *([f"{dropped} messages not recorded"] if dropped else [])]
-
-
-def _recording(status: RecordingStatus) -> RecordingAnswer:
-    plain = status_json(status)
-    del plain["topics"]
-    files = plain.pop("files")
-    return RecordingAnswer(file=files[-1] if files else None, files=len(files), **plain)
-
-
-def _sensor(sensor: SensorHealth) -> SensorAnswer:
-    losses: Losses = sensor.losses
-    return SensorAnswer(
-        topic=sensor.topic,
-        status=sensor.status,
-        reasons=list(sensor.reasons),
-        notes=list(sensor.notes),
-        account=AccountAnswer.model_validate(sensor.account, from_attributes=True),
-        losses=LossesAnswer.model_validate(losses._asdict()),
-        nis=None if sensor.nis is None else NisAnswer.model_validate(sensor.nis, from_attributes=True),
-        gain=None if sensor.gain is None else GainAnswer.model_validate(sensor.gain, from_attributes=True),
-        last_stamp_ns=sensor.last_stamp_ns,
-        period_s=sensor.period_s,
-        age_s=sensor.age_s,
-    )
-
-
-def _finite(value: Any) -> Any:
-    """The same with None for numbers that are not finite."""
-    if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}  # pyright: ignore[reportUnknownVariableType]  plain data of any shape
-    if isinstance(value, list):
-        return [_finite(each) for each in value]  # pyright: ignore[reportUnknownVariableType]  the same
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,110 @@
+"""The filters as they are shown: snapshots as JSON, made once for all who ask within a moment."""
+
+import time
+from collections.abc import Callable, Mapping
+from hashlib import blake2b
+from typing import Any, NamedTuple
+
+import orjson
+
+from fuselog.service.live.runner import Snapshot
+from fuselog.service.rest.answers import filter_plain, health_plain, state_plain
+from fuselog.service.rest.plain import plain
+from fuselog.service.rest.problems import Refused
+from fuselog.service.rest.served import Served
+
+FRESH_S = 0.2  # how old the health that is shown may be
+_TOLD_S = 0.05  # and an event of the stream, which has up to ten in a second
+
+
+class Health(NamedTuple):
+    """The health of a filter, when it was looked at (monotonic s), and a mark of what it says."""
+
+    value: dict[str, Any]
+    at: float
+    mark: str
+
+
+class Shown:
+    """Reads ``served`` for all requests of one event loop. Nothing of it waits for a filter."""
+
+    def __init__(self, served: Served, clock: Callable[[], float] = time.monotonic) -> None:
+        self.served = served
+        self._clock = clock
+        self._health: dict[str, Health] = {}
+        self._told: tuple[float, bytes] = (-_TOLD_S, b"")
+
+    def all(self) -> Mapping[str, Snapshot]:
+        """Every filter that runs."""
+        return self.served.snapshots()
+
+    def snapshot(self, id: str) -> Snapshot:
+        """A filter, or what it was when it ended; raises ``Refused`` (404)."""
+        there = self.served.snapshots()
+        if id in there:
+            return there[id]
+        ended = self.served.ended()
+        if id in ended:
+            return ended[id]
+        some = ", ".join([*there][:10]) or "none"
+        raise Refused(404, f"there is no filter {id!r}; there are {some}")
+
+    def health(self, id: str) -> dict[str, Any]:
+        """The health of a filter; raises ``Refused`` (404)."""
+        snapshot = self.snapshot(id)
+        idle = None if snapshot.last_arrival is None else max(self._clock() - snapshot.last_arrival, 0.0)
+        return {**self._health_of(id, snapshot).value, "idle_s": idle}
+
+    def health_mark(self, id: str) -> str:
+        """Changes when what the health says does, but for the time since the last sample."""
+        return self._health_of(id, self.snapshot(id)).mark
+
+    def filters(self) -> list[dict[str, Any]]:
+        """All filters in a list, those that ended at the end."""
+        return [
+            filter_plain(snapshot, self._health_of(id, snapshot).value["status"], ended=ended)
+            for ended, some in ((False, self.served.snapshots()), (True, self.served.ended()))
+            for id, snapshot in some.items()
+        ]
+
+    def told(self) -> bytes:
+        """The data of one event of the stream, the same for all who are told within a moment."""
+        now = self._clock()
+        if now - self._told[0] >= _TOLD_S:
+            filters = {id: self._event(id, snapshot) for id, snapshot in self.all().items()}
+            self._told = now, orjson.dumps({"t": time.time_ns(), "filters": filters})
+        return self._told[1]
+
+    def forget(self, id: str | None = None) -> None:
+        """Look anew at the next request: something was changed."""
+        self._told = (-_TOLD_S, b"")
+        self._health.pop(id, None) if id is not None else self._health.clear()
+
+    def _event(self, id: str, snapshot: Snapshot) -> dict[str, Any]:
+        health = self.health(id)
+        return {
+            "health": health,
+            "state": state_plain(snapshot.plan, snapshot.estimate),
+            "changes": health.get("changes", []),
+        }
+
+    def _health_of(self, id: str, snapshot: Snapshot) -> Health:
+        now, known = self._clock(), self._health.get(id)
+        if known is None or now - known.at >= FRESH_S:
+            value = health_plain(snapshot)
+            known = self._health[id] = Health(value, now, mark_of(orjson.dumps(value)))
+            there = self.served.snapshots().keys() | self.served.ended().keys()
+            if len(self._health) > len(there):
+                self._health = {id: health for id, health in self._health.items() if id in there}
+        return known
+
+
+def mark_of(content: bytes) -> str:
+    """A short mark of some content."""
+    return blake2b(content, digest_size=12).hexdigest()
+
+
+def whole(snapshot: Snapshot) -> dict[str, Any]:
+    """Everything of a snapshot but its configuration, for a report of a defect."""
+    names = (name for name in Snapshot.__slots__ if name != "plan")
+    return {name: plain(getattr(snapshot, name)) for name in names}
