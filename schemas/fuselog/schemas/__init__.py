@@ -6,6 +6,7 @@ from fuselog.schemas.encode import CdrEncoder
 from fuselog.schemas.errors import ConfigError, FuselogError, LogError, SchemaError
 from fuselog.schemas.layout import ColumnKind, Layout
 from fuselog.schemas.messages import Columns, Fault, Messages, Ragged, pack
+from fuselog.schemas.rihs import rihs01
 
 __all__ = [
     "CdrEncoder",
@@ -27,5 +28,6 @@ __all__ = [
     "known_definitions",
     "layout",
     "pack",
+    "rihs01",
     "stamp_path",
 ]
