@@ -14,7 +14,7 @@ from fastapi import FastAPI
 from fuselog.fusion import Filter, compile_plan, parse_config
 from fuselog.fusion.health import Losses, no_samples
 from fuselog.fusion.report import estimate_json
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 from fuselog.service.rest.api import create_app
 
 CONFIG = """\
@@ -90,10 +90,10 @@ def test_state_has_every_digit(client: Make, snapshot: Snapshot) -> None:
 
 
 def test_a_filter_that_waits(client: Make) -> None:
-    """Waiting is not degraded, and what was not examined is null."""
+    """Initializing is not degraded, and what was not examined is null."""
     health = client().get(f"{ROBOT}/health").json()
-    assert health["status"] == "waiting"
-    assert health["reasons"] == ["gps: no sample on /gps yet"]
+    assert health["status"] == "initializing"
+    assert health["reasons"] == ["gps: no sample on /gps yet", "nothing has been fused yet"]
     assert (health["finite"], health["positive"], health["idle_s"]) == (True, True, None)
     gps = health["sensors"]["gps"]
     assert (gps["nis"], gps["age_s"], gps["period_s"], gps["last_stamp_ns"]) == (None, None, None, None)
@@ -102,18 +102,18 @@ def test_a_filter_that_waits(client: Make) -> None:
         "model": "constant_velocity",
         "states": ["x", "y", "vx", "vy"],
         "sensors": ["gps"],
-        "status": "waiting",
+        "status": "initializing",
     }
 
 
 def test_a_broken_filter_still_answers(client: Make, snapshot: Snapshot) -> None:
-    """A state that is not finite: null in JSON, degraded with the reason, alive and ready."""
+    """A state that is not finite: null in JSON, diverged with the reason, alive and ready."""
     broken = replace(snapshot.estimate, t_ns=5, x=np.array([np.nan, np.inf, 0.0, 1.0]))
     lost = replace(snapshot, estimate=broken, unpublished=3, losses={"gps": Losses(1, 2, 3, "of no type")})
     answers = client(lost)
     assert answers.get(f"{ROBOT}/state").json()["state"] == {"x": None, "y": None, "vx": 0.0, "vy": 1.0}
     health = answers.get(f"{ROBOT}/health").json()
-    assert health["status"] == "degraded"
+    assert health["status"] == "diverged"
     assert health["reasons"] == [
         "3 results not published: subscribers are too slow",
         "the state is not finite",

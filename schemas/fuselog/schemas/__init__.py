@@ -6,6 +6,7 @@ from fuselog.schemas.encode import CdrEncoder
 from fuselog.schemas.errors import ConfigError, FuselogError, LogError, SchemaError
 from fuselog.schemas.layout import ColumnKind, Layout
 from fuselog.schemas.messages import Columns, Fault, Messages, Ragged, pack
+from fuselog.schemas.plain import PlainEncoder
 from fuselog.schemas.rihs import rihs01
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "LogError",
     "MessageType",
     "Messages",
+    "PlainEncoder",
     "Ragged",
     "SchemaError",
     "compile_codec",

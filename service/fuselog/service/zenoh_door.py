@@ -64,6 +64,10 @@ class Publisher:
         """Publish a sample."""
         self._publisher.put(payload, attachment=attachment)
 
+    def close(self) -> None:
+        """Publish no more."""
+        self._publisher.undeclare()
+
 
 def subscribe(session: zenoh.Session, key: str, put: Callable[[zenoh.Sample], None]) -> Callable[[], None]:
     """Have ``put`` called on the network thread for each sample of others; returns what ends it."""

@@ -276,6 +276,7 @@ class SensorSettings(Settings):
     """One stream of samples and what of it is fused."""
 
     topic: str = Field(min_length=1)
+    enabled: bool = Field(True, description="false: its samples are counted as disabled, and not used")
     type: str | None = Field(None, description="message type; by default as the log or the publisher says")
     reliable: bool = Field(
         False, description="live: ask publishers that keep their samples for those missed, and for those before us"
@@ -290,6 +291,7 @@ class SensorSettings(Settings):
     variance: dict[str, str] = Field(default_factory=dict, description="name: path of its variance in the message")
     covariance: str | None = Field(None, description="path of a square covariance of the numbers, in their order")
     stamp: str | None = Field(None, description="path of the stamp; found by itself as a rule")
+    rate: Positive | None = Field(None, description="Hz at which samples are expected; health says when it is another")
     noise: dict[str, Positive] = Field(
         default_factory=dict, description="sd in place of the message's; of an input: per root hertz"
     )
@@ -332,6 +334,10 @@ class OutputSettings(Settings):
     frame: str = "odom"
     child: str = "base_link"
     rate: Positive | None = Field(None, description="most estimates per second of event time; by default one a sample")
+    ticks: Annotated[float, Field(gt=0, le=1000)] | None = Field(
+        None, description="Hz: estimates predicted to the multiples of 1/ticks in event time; by default none"
+    )
+    settled: bool = Field(False, description="also publish the estimates in the order of stamps, behind the lag window")
 
 
 class SmoothSettings(Settings):
@@ -397,11 +403,18 @@ class RecordSettings(Settings):
     latched: list[str] = Field(default_factory=lambda: ["/tf_static"], description="topics repeated in every file")
 
 
+class FleetSettings(Settings):
+    """Filters that topics with captures make, such as fleet/{robot}/imu: one for each name."""
+
+    most: Annotated[int, Field(ge=1, le=10_000)] = Field(100, description="filters at a time")
+    expire: Annotated[Seconds, Field(gt=0)] = Field(60.0, description="silence of all its topics that ends a filter")
+
+
 class Config(Settings):
     """One filter: model, start, gain, sensors, and where its results go."""
 
     version: Literal[1] = Field(alias="fuselog")
-    id: str = Field("filter", pattern=r"^[A-Za-z0-9_.-]{1,64}$")
+    id: str = Field("filter", pattern=r"^[A-Za-z0-9_.{}-]{1,64}$")
     model: Annotated[ModelSettings, BeforeValidator(_named)]
     filter: Annotated[FilterSettings, BeforeValidator(_of_kind)] = FilterSettings.model_validate({})
     initial: InitialSettings = InitialSettings.model_validate({})
@@ -414,3 +427,4 @@ class Config(Settings):
     zenoh: ZenohSettings = ZenohSettings.model_validate({})
     http: HttpSettings = HttpSettings()
     record: RecordSettings | None = Field(None, description="of a live service; by default nothing is recorded")
+    fleet: FleetSettings = FleetSettings.model_validate({})

@@ -5,13 +5,12 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
-from fuselog.fusion.health import Health, Losses, SensorHealth
+from fuselog.fusion.health import Health, Losses, SensorHealth, SensorStatus, Status
 from fuselog.fusion.report import estimate_json
 from fuselog.replay.recording import RecordingStatus
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 from fuselog.service.recording.record import status_json
 
-Status = Literal["ok", "degraded", "waiting"]
 Number = float | None  # JSON has neither NaN nor infinity
 
 
@@ -57,7 +56,7 @@ class StateAnswer(BaseModel):
 
 
 class AccountAnswer(BaseModel):
-    """received = fused + gated + late + duplicate + skipped + pending + the sum of invalid."""
+    """received = fused + gated + late + duplicate + skipped + disabled + pending + the sum of invalid."""
 
     received: int
     fused: int
@@ -65,6 +64,7 @@ class AccountAnswer(BaseModel):
     late: int
     duplicate: int
     skipped: int
+    disabled: int
     pending: int
     invalid: dict[str, int]
 
@@ -100,7 +100,7 @@ class SensorAnswer(BaseModel):
     """One sensor; null where there was nothing to examine."""
 
     topic: str
-    status: Status
+    status: SensorStatus
     reasons: list[str]
     notes: list[str]
     account: AccountAnswer
@@ -169,7 +169,7 @@ def health_answer(snapshot: Snapshot, *, now: float) -> HealthAnswer:
     recording = snapshot.recording
     wrong = [*late, *([] if recording is None else _recording_reasons(recording))]
     return HealthAnswer(
-        status="degraded" if wrong else health.status,
+        status="degraded" if wrong and health.status == "healthy" else health.status,
         reasons=[*wrong, *health.reasons],
         t_ns=health.t_ns,
         finite=health.finite,
