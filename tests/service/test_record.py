@@ -19,10 +19,11 @@ from fuselog.replay import Channel, RawMessage, is_output, open_log
 from fuselog.replay.recording import Account, Recording, RecordingStatus, RecordOptions
 from fuselog.schemas import Messages, definition, pack
 from fuselog.service.cli import make_app
-from fuselog.service.recording.declared import describe, ros_key
+from fuselog.service.recording.declared import describe
 from fuselog.service.recording.recorder import Recorder
 from fuselog.service.recording.selection import Selection, expressions
 from fuselog.service.recording.spool import Spool
+from fuselog.service.ros_keys import ros_key
 from fuselog.service.streams import tell
 from fuselog.service.transport import Endpoints, TransportError, open_session
 from fuselog.service.wire import Tag, media_type, write_tag

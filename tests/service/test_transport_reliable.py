@@ -199,6 +199,25 @@ def test_a_publisher_that_was_cut_off(router: Router, sessions: tuple[zenoh.Sess
     assert got == list(range(1, sent + 1))
 
 
+def test_nothing_comes_twice(router: Router, sessions: tuple[zenoh.Session, zenoh.Session]) -> None:
+    """A publisher that was there before us, and comes again with the router, does not give its past again."""
+    theirs, ours = sessions
+    publisher = Publisher(theirs, "imu", "", cache=10_000)
+    time.sleep(0.2)  # until it is known
+    got: list[int] = []
+    end = subscribe_reliably(ours, "imu", lambda sample: got.append(number(sample)), missed=never)
+    time.sleep(0.2)
+    publish([publisher], range(1, 101))
+    assert wait(lambda: len(got) == 100)
+    router.kill()
+    router.start()
+    publish([publisher], range(101, 201))
+    assert wait(lambda: len(got) >= 200)
+    time.sleep(0.3)
+    end()
+    assert got == list(range(1, 201))
+
+
 def test_everybody_hears_everybody(sessions: tuple[zenoh.Session, zenoh.Session]) -> None:
     """Plain subscribers get all of a publisher with a cache, reliable ones all of a plain publisher."""
     theirs, ours = sessions

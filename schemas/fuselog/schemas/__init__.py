@@ -7,6 +7,7 @@ from fuselog.schemas.errors import ConfigError, FuselogError, LogError, SchemaEr
 from fuselog.schemas.layout import ColumnKind, Layout
 from fuselog.schemas.messages import Columns, Fault, Messages, Ragged, pack
 from fuselog.schemas.plain import PlainEncoder
+from fuselog.schemas.rihs import rihs01
 
 __all__ = [
     "CdrEncoder",
@@ -29,5 +30,6 @@ __all__ = [
     "known_definitions",
     "layout",
     "pack",
+    "rihs01",
     "stamp_path",
 ]

@@ -31,12 +31,18 @@ class Backlog:
         self._lock = threading.Lock()
         self._waiting: dict[str, dict[int, zenoh.Sample]] = {}  # by publisher and number: until its past is there
         self._last: dict[str, int] = {}  # by publisher: the last number that came out of _waiting, until a later one
-        self._known: dict[str, None] = {}  # publishers whose past has been asked for
+        self._known: dict[str, None] = {}  # publishers whose past needs not be asked for any more
+        self._asked: set[str] = set()  # those of whom alone it has been asked, and who have not answered
         self._starting = True  # all publishers wait
         self._all_through = False
 
     def start(self) -> None:
         """Ask for the past of all who are there; returns when it has been put."""
+        tokens = self._session.liveliness().get(f"{self._key}/@adv/pub/**", timeout=_PATIENCE_S)
+        there = [_publisher(reply.ok) for reply in tokens if reply.ok is not None]
+        with self._lock:
+            for publisher in there:
+                self._learn(publisher)
         replies = self._session.get(
             f"{self._key}/@adv/**?_anyke", consolidation=zenoh.ConsolidationMode.NONE, timeout=_PATIENCE_S
         )
@@ -44,16 +50,16 @@ class Backlog:
             self._keep(reply)
         with self._lock:
             self._starting = False
-            self._release(*self._waiting)
+            self._release(*(publisher for publisher in self._waiting if publisher not in self._asked))
 
     def appear(self, token: zenoh.Sample) -> None:
         """A publisher has come, which says so by a token; its past is asked for, once."""
-        _, _, parts = str(token.key_expr).partition("/@adv/pub/")
-        publisher = "/".join(parts.split("/")[:2])
+        publisher = _publisher(token)
         with self._lock:
-            if token.kind != zenoh.SampleKind.PUT or self._starting or publisher in self._known:
+            if token.kind != zenoh.SampleKind.PUT or publisher in self._known:
                 return
             self._learn(publisher)
+            self._asked.add(publisher)
             self._waiting[publisher] = {}
             self._all_through = False
         self._session.get(
@@ -95,6 +101,7 @@ class Backlog:
 
     def _done(self, publisher: str) -> None:
         with self._lock:
+            self._asked.discard(publisher)
             self._release(publisher)
 
     def _release(self, *publishers: str) -> None:
@@ -109,3 +116,8 @@ class Backlog:
         if len(self._known) >= _MOST_PUBLISHERS:
             del self._known[next(iter(self._known))]
         self._known[publisher] = None
+
+
+def _publisher(token: zenoh.Sample) -> str:
+    """Who says by a token that it is there: KEY/@adv/pub/SESSION/NUMBER/..."""
+    return "/".join(str(token.key_expr).partition("/@adv/pub/")[2].split("/")[:2])
