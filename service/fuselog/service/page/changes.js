@@ -1,0 +1,61 @@
+/** The log of health changes, newest first and bounded, and their announcement to those who cannot see them. */
+
+import { h, keyed, say } from "./dom.js";
+import { badge } from "./status.js";
+import { stamp } from "./words.js";
+
+const MOST = 200;
+const SEEN_MOST = 20_000; // keys of changes that were told before, of which the oldest are forgotten
+
+export class Changes {
+  #log = [];
+  #seen = new Set();
+  #before = null; // status by id, null before the first data
+
+  constructor({ list, none, announce }, choose) {
+    Object.assign(this, { list, none, announce, choose });
+  }
+
+  /** Take what the service tells of its filters at `t`, Unix s; a change may be told more than once. */
+  update(t, filters) {
+    const fresh = Object.entries(filters)
+      .flatMap(([id, filter]) => (filter.changes ?? []).map((change) => ({ id, ...change })))
+      .filter((change) => this.#isNew(change));
+    for (const id of Object.keys(this.#before ?? {}))
+      if (!Object.hasOwn(filters, id)) fresh.push({ id, t_ns: t * 1e9, from: this.#before[id], to: "gone", reason: "no longer served" });
+    const first = this.#before === null;
+    this.#before = Object.fromEntries(Object.entries(filters).map(([id, filter]) => [id, filter.health?.status]));
+    if (!fresh.length) return;
+    this.#log = [...fresh.sort((a, b) => b.t_ns - a.t_ns), ...this.#log].slice(0, MOST);
+    keyed(this.list, this.#log, keyOf, (change) => this.#row(change));
+    this.none.hidden = true;
+    if (!first) say(this.announce, words(fresh));
+  }
+
+  #isNew(change) {
+    const key = keyOf(change);
+    if (this.#seen.has(key)) return false;
+    this.#seen.add(key);
+    if (this.#seen.size > SEEN_MOST) this.#seen.delete(this.#seen.values().next().value);
+    return true;
+  }
+
+  #row(change) {
+    const [from, to] = [badge(), badge()];
+    const name = h("button", { type: "button", class: "link" }, change.id);
+    name.addEventListener("click", () => this.choose(change.id));
+    const time = h("time", { class: "soft" }, stamp(change.t_ns) ?? "at no time");
+    const way = h("span", { class: "way" }, from.node, " to ", to.node);
+    const node = h("li", {}, time, name, way, h("span", { class: "why" }, change.reason ?? ""));
+    from.update(change.from);
+    to.update(change.to);
+    return { node, update: () => {} };
+  }
+}
+
+const keyOf = ({ id, t_ns, from, to, reason }) => JSON.stringify([id, t_ns, from, to, reason]);
+
+function words(changes) {
+  if (changes.length > 3) return `${changes.length} health changes`;
+  return changes.map(({ id, to, reason }) => `${id} is ${to}${reason ? `: ${reason}` : ""}`).join(". ");
+}
