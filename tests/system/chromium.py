@@ -7,7 +7,6 @@ import select
 import shutil
 import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -145,13 +144,12 @@ class Page:
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
 
-    def wait(self, expression: str, timeout_s: float = 20) -> Any:
-        """Its value as soon as that is true."""
+    def wait(self, expression: str, timeout_s: float = 20) -> None:
+        """Until it is true."""
         end = time.monotonic() + timeout_s
-        while not (value := self.evaluate(expression)):
-            assert time.monotonic() < end, f"never true: {expression}; the page says {self.text('body')[:2000]}"
+        while not self.evaluate(f"Boolean({expression})"):
+            assert time.monotonic() < end, f"never true: {expression[:300]}\nthe page says: {self.text('body')[:1500]}"
             time.sleep(0.05)
-        return value
 
     def text(self, selector: str) -> str:
         """What can be read in an element."""
@@ -185,5 +183,3 @@ class Page:
         shot = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True)
         path.write_bytes(base64.b64decode(shot["data"]))
 
-
-Open = Callable[..., Page]

@@ -100,32 +100,34 @@ class StatusService:
 
     async def _events(self) -> AsyncIterator[str]:
         longest = max(map(len, self.filters.values()))
-        changes: dict[str, list[dict[str, Any]]] = {id: [] for id in self.filters}
+        changes: dict[str, list[dict[str, Any]]] = {name: [] for name in self.filters}
         before: dict[str, str] = {}
         n = 0
         while not self.cut.is_set():
             if not self.hold.is_set():
-                shown = {id: frames[min(n, len(frames) - 1)] for id, frames in self.filters.items()}
-                told = {id: self._told(snapshot) for id, snapshot in shown.items()}
-                for id, one in told.items():
-                    health = one["health"]
-                    if before.get(id, health["status"]) != health["status"]:
+                shown = {name: frames[min(n, len(frames) - 1)] for name, frames in self.filters.items()}
+                answers = {id(snapshot): _told(snapshot) for snapshot in shown.values()}  # many show the same one
+                told = {name: dict(answers[id(snapshot)]) for name, snapshot in shown.items()}
+                for name, one in told.items():
+                    health, was = one["health"], before.get(name)
+                    if was not in (None, health["status"]):
                         why = health["reasons"][0] if health["reasons"] else ""
-                        change = {"t_ns": health["t_ns"], "from": before[id], "to": health["status"], "reason": why}
-                        changes[id].append(change)
-                    before[id] = health["status"]
-                    one["changes"] = changes[id]
+                        change = {"t_ns": health["t_ns"], "from": was, "to": health["status"], "reason": why}
+                        changes[name].append(change)
+                    before[name] = health["status"]
+                    one["changes"] = changes[name]
                 yield f"event: health\r\ndata: {json.dumps({'t': time.time(), 'filters': told})}\r\n\r\n"
                 n += 1
             await asyncio.sleep(self.every_s if n < longest else 0.5)
 
-    def _told(self, snapshot: Snapshot) -> dict[str, Any]:
-        return {
-            "model": snapshot.plan.card.name,
-            "states": list(snapshot.plan.states),
-            "health": health_answer(snapshot, now=time.monotonic()).model_dump(mode="json"),
-            "state": state_answer(snapshot).model_dump(mode="json"),
-        }
+
+def _told(snapshot: Snapshot) -> dict[str, Any]:
+    return {
+        "model": snapshot.plan.card.name,
+        "states": list(snapshot.plan.states),
+        "health": health_answer(snapshot, now=time.monotonic()).model_dump(mode="json"),
+        "state": state_answer(snapshot).model_dump(mode="json"),
+    }
 
 
 def with_losses(frames: Frames, losses: dict[str, Losses]) -> Frames:

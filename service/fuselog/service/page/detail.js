@@ -26,7 +26,9 @@ export class Detail {
     if (filter === undefined) return;
     const health = filter.health ?? {};
     const sensors = health.sensors ?? {};
-    const estimate = { states: filter.states ?? [], state: filter.state ?? {}, rows };
+    const states = filter.states ?? [];
+    const began = known(filter.state?.t_ns); // before, the state is what the configuration begins with
+    const estimate = { states, state: began ? filter.state : { not_measured_yet: states }, rows };
     say(parts.name, id);
     say(parts.model, filter.model ?? "");
     this.#mark.update(health.status);

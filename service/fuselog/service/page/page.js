@@ -99,6 +99,11 @@ function remember(id) {
   showChosen();
 }
 
+function chooseFromAddress() {
+  const id = new URLSearchParams(location.hash.slice(1)).get("filter");
+  if (id) list.select(id);
+}
+
 parts.connection.replaceChild(linkShape.node, parts.connection.firstElementChild);
 parts.all.addEventListener("toggle", showChosen);
 document.querySelector(".skip").addEventListener("click", (event) => {
@@ -109,6 +114,6 @@ addEventListener("online", () => stream.retry());
 addEventListener("resize", showChosen);
 setInterval(showLink, 1000);
 themeButton(parts.theme);
-const wanted = new URLSearchParams(location.hash.slice(1)).get("filter");
-if (wanted) list.select(wanted);
+addEventListener("hashchange", chooseFromAddress);
+chooseFromAddress();
 stream.run();
