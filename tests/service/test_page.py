@@ -1,4 +1,4 @@
-"""The files of the status page as they are served: complete, not to be extended from outside, kept while they are right."""
+"""The files of the status page as they are served: complete, closed to the outside, kept while they are right."""
 
 import re
 

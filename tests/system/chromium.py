@@ -163,7 +163,9 @@ class Page:
         """Click an element where it is."""
         quoted = json.dumps(selector)
         middle = "const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2]"
-        x, y = self.evaluate(f"(e => {{ e.scrollIntoView({{block: 'nearest'}}); {middle} }})(document.querySelector({quoted}))")
+        x, y = self.evaluate(
+            f"(e => {{ e.scrollIntoView({{block: 'nearest'}}); {middle} }})(document.querySelector({quoted}))"
+        )
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
@@ -182,4 +184,3 @@ class Page:
         """The whole page as PNG."""
         shot = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True)
         path.write_bytes(base64.b64decode(shot["data"]))
-

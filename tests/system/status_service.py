@@ -1,4 +1,4 @@
-"""A service whose filters are real ones, run over a log: what they showed, half a second after the other, is streamed."""
+"""A service whose filters are real ones, run over a log: what they showed is streamed, step by step."""
 
 import asyncio
 import json
@@ -12,7 +12,7 @@ from typing import Any
 from fastapi import Request, Response
 from fastapi.responses import JSONResponse, StreamingResponse
 
-from fuselog.fusion import Filter, Ledger, Plan, Track, compile_plan, parse_config
+from fuselog.fusion import Filter, Plan, compile_plan, parse_config
 from fuselog.fusion.health import Losses, Recent, no_samples, remember
 from fuselog.replay import open_log
 from fuselog.replay.reprocess import open_inputs
@@ -26,7 +26,7 @@ Frames = list[Snapshot]
 
 
 def frames_of(config: str, log: Path, *, blind: tuple[str, float] | None = None, step_s: float = 0.5) -> Frames:
-    """What a filter shows before a log and after each of its steps; ``blind``: a topic, and when it falls silent (s)."""
+    """What a filter shows before a log and after each step; ``blind``: a topic, and when it falls silent (s)."""
     plan = compile_plan(*parse_config(config))
     filter, recent = Filter(plan, order="as_received"), no_samples(plan)
     frames = [_snapshot(plan, filter, recent)]

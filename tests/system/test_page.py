@@ -71,7 +71,7 @@ def serve() -> Iterator[Serve]:
 
 @pytest.fixture(scope="module")
 def frames(small_log: Path) -> dict[str, Frames]:
-    """Filters that fare differently: well, with a sensor that falls silent, too sure of one, of another model, at rest."""
+    """Filters that fare differently: well, with a silent sensor, too sure of one, of another model, at rest."""
     well = frames_of(UNICYCLE, small_log)
     return {
         "well": well,
@@ -90,9 +90,10 @@ def ask(service: StatusService, path: str) -> Any:
 
 def at_end(page: Page, service: StatusService) -> None:
     """Wait until the page shows every filter as the service says that it is now."""
-    wanted = {id: ask(service, f"/{id}/health")["status"] for id in service.filters}
-    shown = "Object.fromEntries([...document.querySelectorAll('#list li')].map(e => [e.dataset.id, e.querySelector('.word').innerText]))"
-    page.wait(f"JSON.stringify(Object.entries({shown}).sort()) === JSON.stringify({json.dumps(sorted(map(list, wanted.items())))})")
+    wanted = sorted([id, ask(service, f"/{id}/health")["status"]] for id in service.filters)
+    rows = "[...document.querySelectorAll('#list li')]"
+    shown = f"{rows}.map(e => [e.dataset.id, e.querySelector('.word').innerText]).sort()"
+    page.wait(f"JSON.stringify({shown}) === JSON.stringify({json.dumps(wanted)})")
 
 
 def choose(page: Page, service: StatusService, id: str) -> None:
@@ -104,7 +105,7 @@ def choose(page: Page, service: StatusService, id: str) -> None:
 
 
 def test_filters_at_a_glance(serve: Serve, open_page: Open, frames: dict[str, Frames]) -> None:
-    """A row for each filter with its status and first reason, the worst first and chosen, until one is found by words."""
+    """A row for each filter with its status and first reason, the worst first; words and buttons find some."""
     service = serve(frames)
     page = open_page(service.url)
     at_end(page, service)
@@ -119,8 +120,10 @@ def test_filters_at_a_glance(serve: Serve, open_page: Open, frames: dict[str, Fr
     page.evaluate("document.querySelector('#search').focus()")
     page.type("unicycle silent")
     assert page.texts("#list li .id") == ["blind"]
-    degraded = sum(one["status"] == "degraded" for one in health.values())
-    assert f"{degraded} degraded" in " ".join(page.text("#counts").split())
+    page.evaluate("document.querySelector('#search').value = ''")
+    page.click("#counts button")  # of the worst status
+    assert page.texts("#list li .word") == ["degraded"] * sum(one["status"] == "degraded" for one in health.values())
+    assert page.evaluate("document.querySelector('#counts button').getAttribute('aria-pressed')") == "true"
 
 
 def test_a_filter_and_its_sensors(serve: Serve, open_page: Open, frames: dict[str, Frames]) -> None:
@@ -141,7 +144,9 @@ def test_a_filter_and_its_sensors(serve: Serve, open_page: Open, frames: dict[st
     table = "[...document.querySelectorAll('#ledger tbody tr')].map(row => [...row.cells].map(cell => cell.innerText))"
     cells = page.evaluate(table)
     accounts = {row[0]: [int(cell.replace("\u202f", "")) for cell in row[1:4]] for row in cells}
-    expected = {name: [s["account"][key] for key in ("received", "fused", "gated")] for name, s in health["sensors"].items()}
+    expected = {
+        name: [s["account"][key] for key in ("received", "fused", "gated")] for name, s in health["sensors"].items()
+    }
     plain = {name: numbers for name, numbers in accounts.items() if name != "all"}
     assert plain == expected
     assert accounts["all"] == [sum(column) for column in zip(*expected.values(), strict=True)]
@@ -172,11 +177,45 @@ def test_what_nobody_examined_is_a_dash(serve: Serve, open_page: Open, frames: d
     at_end(page, service)
     page.wait("document.querySelector('#sensors tbody')")
     row = page.text("#sensors tbody")
-    assert row.count("–") == 8  # rate, expected, age, NIS, its expectation, three shares
+    assert row.count("–") == 10  # rate, age, delay, NIS, with what they go by, and three shares
     assert page.evaluate("getComputedStyle(document.querySelector('#map-figure')).display") == "none"
     page.click("#all summary")
     page.wait("document.querySelector('#all dd')")
     assert not re.search(r"NaN|undefined|null|Infinity", page.text("body"))
+
+
+@pytest.mark.parametrize(
+    ("nis", "words", "inside"),
+    [
+        ({"mean": 1.1, "dof": 1.0, "band": [0.8, 1.2]}, "1.10 / 1.00, inside 0.800 to 1.20", "true"),
+        ({"mean": 1.5, "dof": 1.0, "band": [0.8, 1.2]}, "1.50 / 1.00, outside 0.800 to 1.20", "false"),
+        ({"mean": 50.0, "dof": 2.0, "band": [1.5, 2.6]}, "50.0 / 2.00, outside 1.50 to 2.60", "false"),
+        ({"mean": 1.5, "dof": 1.0}, "1.50 / 1.00", None),
+        ({"mean": None, "dof": 1.0, "band": [None, 1.2]}, "–not examined: too few / 1.00", None),
+    ],
+)
+def test_nis_and_its_band(serve: Serve, open_page: Open, nis: dict[str, Any], words: str, inside: str | None) -> None:
+    """Mark and band in the picture are where the words say, on a scale with the expected value at a third."""
+    page = open_page(serve({}).url)
+    sensors = {
+        "gps": {"status": "ok", "nis": nis, "rate": {"hz": 9.5}, "not_examined": {"nis": "too few"}, "new": {"a": [1]}}
+    }
+    page.evaluate(
+        "import('/page/sensors.js').then(m => { document.querySelector('#chosen').hidden = false;"
+        f" m.showSensors(document.querySelector('#sensors'), {json.dumps(sensors)}) }})"
+    )
+    assert page.evaluate("document.querySelector('#sensors span.nis').textContent") == words
+    assert "9.50 / –" in page.text("#sensors")
+    picture = "document.querySelector('#sensors .{}')"
+    assert page.evaluate(f"{picture.format('mark')}.getAttribute('data-inside')") == inside
+    if nis["mean"] is None:
+        assert page.evaluate(f"getComputedStyle({picture.format('mark')}).visibility") == "hidden"
+        return
+    box = page.evaluate(f"(b => [b.x, b.width])({picture.format('mark')}.getBBox())")
+    assert abs(box[0] + box[1] / 2 - min(40 * nis["mean"] / nis["dof"], 115.5)) < 0.1
+    if "band" in nis:
+        band = page.evaluate(f"(b => [b.x, b.x + b.width])({picture.format('band')}.getBBox())")
+        np.testing.assert_allclose(band, [40 * end / nis["dof"] for end in nis["band"]])
 
 
 def test_map_and_states(serve: Serve, open_page: Open, frames: dict[str, Frames]) -> None:
@@ -188,7 +227,9 @@ def test_map_and_states(serve: Serve, open_page: Open, frames: dict[str, Frames]
     x, y, _ = ask(service, "/well/state")["position"]
     shown = re.findall(r"\b[xy] (\S+) m", page.text("#map-words").replace("−", "-"))
     np.testing.assert_allclose([float(text) for text in shown], [x, y], rtol=1e-3)
-    here = page.evaluate("[...document.querySelectorAll('#map .here')].map(c => [c.cx.baseVal.value, c.cy.baseVal.value])[0]")
+    here = page.evaluate(
+        "[...document.querySelectorAll('#map .here')].map(c => [c.cx.baseVal.value, c.cy.baseVal.value])[0]"
+    )
     trail = page.evaluate("[...document.querySelector('#map .trail').points].map(p => [p.x, p.y])")
     assert len(trail) > 20
     assert trail[-1] == here
@@ -196,9 +237,8 @@ def test_map_and_states(serve: Serve, open_page: Open, frames: dict[str, Frames]
     drawn = np.array(trail[-len(true) :]) * [1, -1]
     scale = np.ptp(drawn[:, 0]) / np.ptp(true[-len(drawn) :, 0])
     np.testing.assert_allclose(np.ptp(drawn[:, 1]), scale * np.ptp(true[-len(drawn) :, 1]), rtol=0.01)  # one scale
-    bar, words = page.evaluate(
-        "[document.querySelector('#map path.scale').getBBox().width, document.querySelector('#map text.scale').textContent]"
-    )
+    bar = page.evaluate("document.querySelector('#map path.scale').getBBox().width")
+    words = page.evaluate("document.querySelector('#map text.scale').textContent")
     np.testing.assert_allclose(bar / scale, float(words.removesuffix(" m")), rtol=0.02)
     choose(page, service, "line")
     assert page.evaluate("getComputedStyle(document.querySelector('#map-figure')).display") == "none"
@@ -219,11 +259,12 @@ def test_ellipse_holds_95_percent(serve: Serve, open_page: Open) -> None:
 def test_events_in_any_pieces(serve: Serve, open_page: Open) -> None:
     """A stream cut after every byte, with both line ends, comments, several lines of data, and other fields."""
     page = open_page(serve({}).url)
-    text = ": hello\r\n\r\nevent: health\r\ndata: {\"a\":\r\ndata: \"ü\"}\r\nid: 1\r\n\r\ndata:b\n\nevent: lost\ndata: c\n"
+    text = ': hello\r\n\r\nevent: health\r\ndata: {"a":\r\ndata: "ü"}\r\nid: 1\r\n\r\ndata:b\n\nevent: lost\ndata: c\n'
     found = page.evaluate(f"""
       import('/page/stream.js').then(async ({{ events }}) => {{
         const bytes = new TextEncoder().encode({json.dumps(text)});
-        const body = new ReadableStream({{ start(c) {{ for (const b of bytes) c.enqueue(Uint8Array.of(b)); c.close(); }} }});
+        const start = (c) => {{ for (const b of bytes) c.enqueue(Uint8Array.of(b)); c.close(); }};
+        const body = new ReadableStream({{ start }});
         const found = [];
         for await (const event of events(body)) found.push(event);
         return found;
@@ -263,7 +304,9 @@ def test_silence_and_loss_of_the_service_show(serve: Serve, open_page: Open, fra
     service.hold.set()
     page.wait("/^stale since [3-9] s$/.test(document.querySelector('#connection').innerText)")
     service.cut.set()
-    page.wait("/reconnecting in \\d+ s: the service ended the stream/.test(document.querySelector('#connection').innerText)")
+    page.wait(
+        "/reconnecting in \\d+ s: the service ended the stream/.test(document.querySelector('#connection').innerText)"
+    )
     service.hold.clear()
     service.cut.clear()
     page.wait("document.querySelector('#connection').innerText === 'live'")
@@ -283,7 +326,9 @@ def test_keys(serve: Serve, open_page: Open, frames: dict[str, Frames]) -> None:
     page.press("ArrowDown")
     page.press("ArrowDown")
     page.wait(f"document.querySelector('#name').innerText === {json.dumps(ids[2])}")
-    active = page.evaluate("document.getElementById(document.querySelector('#list').getAttribute('aria-activedescendant')).dataset.id")
+    active = page.evaluate(
+        "document.getElementById(document.querySelector('#list').getAttribute('aria-activedescendant')).dataset.id"
+    )
     assert active == ids[2]
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
     page.press("End")
@@ -300,10 +345,12 @@ CONTRASTS = """
   const canvas = new OffscreenCanvas(1, 1).getContext('2d', { willReadFrequently: true });
   const rgb = (color) => { canvas.clearRect(0, 0, 1, 1); canvas.fillStyle = color; canvas.fillRect(0, 0, 1, 1);
     return [...canvas.getImageData(0, 0, 1, 1).data]; };
-  const light = ([r, g, b]) => [r, g, b].map(v => v / 255).map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
-    .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
-  const behind = (e) => { for (; e; e = e.parentElement) { const c = rgb(getComputedStyle(e).backgroundColor); if (c[3] === 255) return c; }
-    return [255, 255, 255]; };
+  const linear = (v) => v / 255 <= 0.04045 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4;
+  const light = ([r, g, b]) => 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
+  const behind = (e) => {
+    const ground = e ? rgb(getComputedStyle(e).backgroundColor) : [255, 255, 255, 255];
+    return ground[3] === 255 ? ground : behind(e.parentElement);
+  };
   const found = [];
   for (const e of document.querySelectorAll('body *')) {
     const own = [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim()) || e.matches('.shape');
@@ -351,7 +398,9 @@ def test_narrow(serve: Serve, open_page: Open, frames: dict[str, Frames], width:
     page = open_page(service.url, width=width)
     at_end(page, service)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    assert "Age" in page.evaluate("getComputedStyle(document.querySelector('#sensors td[data-label=Age]'), '::before').content")
+    assert "Age" in page.evaluate(
+        "getComputedStyle(document.querySelector('#sensors td[data-label=Age]'), '::before').content"
+    )
 
 
 def test_two_hundred_filters(serve: Serve, open_page: Open, frames: dict[str, Frames]) -> None:

@@ -16,13 +16,13 @@ export class Changes {
     Object.assign(this, { list, none, announce, choose });
   }
 
-  /** Take what the service tells of its filters at `t`, Unix s; a change may be told more than once. */
-  update(t, filters) {
+  /** Take what the service tells of its filters; a change may be told more than once. */
+  update(filters) {
     const fresh = Object.entries(filters)
-      .flatMap(([id, filter]) => (filter.changes ?? []).map((change) => ({ id, ...change })))
+      .flatMap(([id, filter]) => (filter.changes ?? []).map((change) => read(id, change)))
       .filter((change) => this.#isNew(change));
     for (const id of Object.keys(this.#before ?? {}))
-      if (!Object.hasOwn(filters, id)) fresh.push({ id, t_ns: t * 1e9, from: this.#before[id], to: "gone", reason: "no longer served" });
+      if (!Object.hasOwn(filters, id)) fresh.push({ id, t_ns: Date.now() * 1e6, from: this.#before[id], to: "gone", reason: "no longer served" });
     const first = this.#before === null;
     this.#before = Object.fromEntries(Object.entries(filters).map(([id, filter]) => [id, filter.health?.status]));
     if (!fresh.length) return;
@@ -46,11 +46,17 @@ export class Changes {
     name.addEventListener("click", () => this.choose(change.id));
     const time = h("time", { class: "soft" }, stamp(change.t_ns) ?? "at no time");
     const way = h("span", { class: "way" }, from.node, " to ", to.node);
-    const node = h("li", {}, time, name, way, h("span", { class: "why" }, change.reason ?? ""));
+    const node = h("li", {}, time, name, way, h("span", { class: "why" }, change.reason));
     from.update(change.from);
     to.update(change.to);
     return { node, update: () => {} };
   }
+}
+
+/** A change of status, and the reason that began or ended with it. */
+function read(id, { t_ns, from, before = from, to, after = to, began = true, sensor = "", text = "", reason = text }) {
+  const words = [sensor && `${sensor}: `, reason, began ? "" : " (over)"].join("");
+  return { id, t_ns, from: before, to: after, reason: words };
 }
 
 const keyOf = ({ id, t_ns, from, to, reason }) => JSON.stringify([id, t_ns, from, to, reason]);

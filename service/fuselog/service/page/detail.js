@@ -26,7 +26,7 @@ export class Detail {
     if (filter === undefined) return;
     const health = filter.health ?? {};
     const sensors = health.sensors ?? {};
-    const states = filter.states ?? [];
+    const states = filter.states ?? Object.keys(filter.state?.state ?? {});
     const began = known(filter.state?.t_ns); // before, the state is what the configuration begins with
     const estimate = { states, state: began ? filter.state : { not_measured_yet: states }, rows };
     say(parts.name, id);
@@ -59,10 +59,11 @@ function showPairs(list, pairs) {
 function figuresOf(health) {
   const covariance = health.finite === false ? "not finite" : health.positive === false ? "not positive" : "sound";
   return [
-    ["Time of the estimate", stamp(health.t_ns)],
+    ["Estimate at", stamp(health.t_ns)],
     ["Last sample came", known(health.idle_s) ? `${seconds(health.idle_s)} ago` : null],
     ["Position, 1 sigma", quantity(health.position_sd_m, "m")],
-    ["Since an absolute fix", seconds(health.since_absolute_fix_s)],
+    ["Heading, 1 sigma", known(health.heading_sd_rad) ? quantity((health.heading_sd_rad * 180) / Math.PI, "°") : null],
+    ["Since an absolute fix", seconds(health.fix_age_s)],
     ["Covariance", typeof health.finite === "boolean" ? covariance : null],
     ["Its condition", number(health.condition)],
     ["Variance over optimal", number(health.optimality_ratio)],

@@ -29,11 +29,12 @@ export function say(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-/** Give an element a figure; null, what nobody has examined, is a dash that says so. */
-export function figure(node, text) {
+/** Give an element a figure; null, what nobody has examined, is a dash that says so, and why when that is known. */
+export function figure(node, text, why = "") {
   if (text !== null) return say(node, text);
-  if (node.textContent === "–not examined") return;
-  node.replaceChildren(h("span", { "aria-hidden": "true", title: "not examined" }, "–"), unseen("not examined"));
+  const words = why ? `not examined: ${why}` : "not examined";
+  if (node.textContent === `–${words}`) return;
+  node.replaceChildren(h("span", { "aria-hidden": "true", title: words }, "–"), unseen(words));
 }
 
 /** A text for those who do not see the picture beside it. */

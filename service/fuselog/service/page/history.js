@@ -21,7 +21,7 @@ export class History {
 }
 
 /** A filter's estimate as a row; null while there is none. Numbers that are not finite are NaN. */
-export function rowOf({ states = [], state }) {
+export function rowOf({ state, states = Object.keys(state?.state ?? {}) }) {
   if (typeof state?.t_ns !== "number") return null;
   const values = states.map((name) => state.state?.[name] ?? NaN);
   const sds = states.map((_, i) => Math.sqrt(state.covariance?.[i]?.[i] ?? NaN));

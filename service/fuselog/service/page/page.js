@@ -45,7 +45,7 @@ function take(data) {
     if (!histories.has(id)) histories.set(id, new History());
     if (row) histories.get(id).push(row);
   }
-  changes.update(data.t, filters);
+  changes.update(filters);
   soon();
 }
 

@@ -17,7 +17,7 @@ function stateRow({ name }) {
   const [value, spread] = [h("td", { class: "n" }), h("td", { class: "n" })];
   const band = s("path", { class: "band" });
   const line = s("path", { class: "line" });
-  const svg = s("svg", { class: "spark", width: WIDTH, height: HEIGHT, viewBox: `0 0 ${WIDTH} ${HEIGHT}`, "aria-hidden": "true" });
+  const svg = s("svg", { class: "spark", width: WIDTH, height: HEIGHT, viewBox: `0 0 ${WIDTH} ${HEIGHT}`, preserveAspectRatio: "none", "aria-hidden": "true" });
   svg.append(band, line);
   const node = h("tr", {}, h("th", { scope: "row" }, name), value, spread, h("td", {}, svg));
   const update = ({ i, rows, value: now }) => {
