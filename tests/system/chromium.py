@@ -144,7 +144,7 @@ class Page:
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
 
-    def wait(self, expression: str, timeout_s: float = 20) -> None:
+    def wait(self, expression: str, timeout_s: float = 60) -> None:
         """Until it is true."""
         end = time.monotonic() + timeout_s
         while not self.evaluate(f"Boolean({expression})"):
