@@ -32,7 +32,7 @@ def assets() -> dict[str, bytes]:
     """The files of the page by name."""
     return {
         entry.name: entry.read_bytes()
-        for entry in files(__package__).iterdir()
+        for entry in files("fuselog.service.page").iterdir()
         if any(entry.name.endswith(suffix) for suffix in _TYPES)
     }
 
