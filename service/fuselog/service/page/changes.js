@@ -45,7 +45,7 @@ export class Changes {
     const name = h("button", { type: "button", class: "link" }, change.id);
     name.addEventListener("click", () => this.choose(change.id));
     const time = h("time", { class: "soft" }, stamp(change.t_ns) ?? "at no time");
-    const way = h("span", { class: "way" }, from.node, " to ", to.node);
+    const way = h("span", { class: "way" }, ...(change.from === change.to ? [] : [from.node, " to "]), to.node);
     const node = h("li", {}, time, name, way, h("span", { class: "why" }, change.reason));
     from.update(change.from);
     to.update(change.to);
