@@ -4,7 +4,7 @@ import { figure, h, keyed, s, say, set, unseen } from "./dom.js";
 import { badge } from "./status.js";
 import { known, number, seconds, share } from "./words.js";
 
-const WIDTH = 120;
+const WIDTH = 105;
 const HEIGHT = 14;
 const MOST = 3; // times what is expected: the right end of the bar
 
@@ -28,9 +28,9 @@ function sensorRow(name) {
       { role: "row" },
       h("th", { role: "rowheader", scope: "row" }, h("span", { class: "name" }, name), topic),
       cell("Status", {}, mark.node),
-      cell("Rate / expected, Hz", { class: "n" }, figures.rate, " / ", figures.expected),
+      cell("Rate / expected, Hz", { class: "n" }, figures.rate, second(figures.expected)),
       cell("Age", { class: "n" }, figures.age),
-      cell("Delay / p99", { class: "n" }, figures.delay, " / ", figures.slowest),
+      cell("Delay / p99", { class: "n" }, figures.delay, second(figures.slowest)),
       cell("NIS mean / expected", {}, nis.node),
       cell("Gated", { class: "n" }, figures.gated),
       cell("Late", { class: "n" }, figures.late),
@@ -72,6 +72,9 @@ export const sum = (counts) => Object.values(counts ?? { none: NaN }).reduce((a,
 function cell(label, attributes, ...children) {
   return h("td", { role: "cell", "data-label": label, ...attributes }, ...children);
 }
+
+/** What a figure goes by; a line of its own where there is room. */
+const second = (node) => h("span", { class: "second" }, " / ", node);
 
 /**
  * The mean NIS on a scale of what is expected of it, its degrees of freedom: a line at 1, the band in which the mean is
