@@ -1,6 +1,7 @@
 """The status page in a real Chromium, over what real filters said of real messages."""
 
 import json
+import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -95,7 +96,12 @@ def statuses(service: StatusService) -> dict[str, str]:
 
 def at_end(page: Page, service: StatusService) -> None:
     """Wait until the page shows every filter as the service says that it is now."""
-    wanted = sorted(map(list, statuses(service).items()))
+    shows(page, statuses(service))
+
+
+def shows(page: Page, status: dict[str, str]) -> None:
+    """Wait until the list has these filters with their statuses, and no others."""
+    wanted = sorted(map(list, status.items()))
     rows = "[...document.querySelectorAll('#list li')]"
     shown = f"{rows}.map(e => [e.dataset.id, e.querySelector('.word').innerText]).sort()"
     page.wait(f"JSON.stringify({shown}) === JSON.stringify({json.dumps(wanted)})")
@@ -129,6 +135,21 @@ def test_filters_at_a_glance(serve: Serve, open_page: Open, frames: dict[str, Fr
     page.click("#counts button")  # of the worst status
     assert page.texts("#list li .word") == ["degraded"] * sum(one["status"] == "degraded" for one in health.values())
     assert page.evaluate("document.querySelector('#counts button').getAttribute('aria-pressed')") == "true"
+
+
+def test_a_running_service(open_page: Open) -> None:
+    """The same of ``fuselog serve`` somewhere else, whose data must not change meanwhile."""
+    url = os.environ.get("FUSELOG_STATUS_PAGE")
+    if url is None:
+        pytest.skip("FUSELOG_STATUS_PAGE names no service")
+    with urlopen(f"{url}/api/v1/filters", timeout=10) as answer:
+        filters = json.load(answer)["filters"]
+    page = open_page(url)
+    shows(page, {one["id"]: one["status"] for one in filters if not one.get("ended")})
+    assert page.text("#connection") == "live"
+    chosen = next(one for one in filters if one["id"] == page.text("#name"))
+    assert page.texts("#sensors .name") == chosen["sensors"]
+    assert page.texts("#states tbody th") == chosen["states"]
 
 
 def test_a_filter_and_its_sensors(serve: Serve, open_page: Open, frames: dict[str, Frames]) -> None:
@@ -341,6 +362,7 @@ def test_keys(serve: Serve, open_page: Open, frames: dict[str, Frames]) -> None:
     page.wait(f"document.querySelector('#name').innerText === {json.dumps(ids[-2])}")
     page.press("Enter")
     assert page.evaluate("document.activeElement.id") == "detail"
+    page.wait(f"location.hash === '#filter={ids[-2]}'")
     page.go(f"{service.url}/#filter={ids[1]}")
     page.wait(f"document.querySelector('#name').innerText === {json.dumps(ids[1])}")
 

@@ -18,7 +18,8 @@ const histories = new Map(); // by id
 let filters = {};
 let link = { kind: "connecting", reason: "", until: 0 };
 let heard = null; // when data came last, ms
-let due = false;
+let due = false; // whether it is to be drawn
+let addressing; // timer
 let told = "waiting"; // status of the connection that was announced last
 
 const list = new FilterList(
@@ -93,10 +94,11 @@ function showLink() {
   document.body.classList.toggle("stale", status !== "healthy" && heard !== null);
 }
 
-/** Keep the choice in the address, so that it can be reloaded or sent. */
+/** Show the choice, and keep it in the address, so that it can be reloaded or sent. */
 function remember(id) {
-  history.replaceState(null, "", `#${new URLSearchParams({ filter: id })}`);
   showChosen();
+  clearTimeout(addressing); // browsers refuse an address that changes with every press of a key
+  addressing = setTimeout(() => history.replaceState(null, "", `#${new URLSearchParams({ filter: id })}`), 300);
 }
 
 function chooseFromAddress() {

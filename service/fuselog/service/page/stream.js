@@ -76,8 +76,8 @@ export class Stream {
         watch = setTimeout(giveUp, SILENT_MS);
       })) {
         if (event.type !== this.type) continue;
-        this.#failures = 0;
         this.onData(JSON.parse(event.data));
+        this.#failures = 0;
       }
     } catch (error) {
       throw signal.aborted ? signal.reason : error;
