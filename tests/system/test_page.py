@@ -282,6 +282,34 @@ def test_ellipse_holds_95_percent(serve: Serve, open_page: Open) -> None:
     np.testing.assert_allclose(abs(axes[:, 1] @ [np.cos(found["angle"]), np.sin(found["angle"])]), 1, rtol=1e-9)
 
 
+def test_figures_as_people_read_them(serve: Serve, open_page: Open) -> None:
+    """Three digits, a unit that suits, and nothing where there is nothing."""
+    page = open_page(serve({}).url)
+    wanted = {
+        "number(0)": "0",
+        "number(-0.04567)": "−0.0457",
+        "number(123456)": "123456",
+        "number(0.00012345)": "1.23e−4",
+        "number(1e300)": "1.00e300",
+        "number(NaN)": None,
+        "number(null)": None,
+        "seconds(0.0371)": "37 ms",
+        "seconds(9.87)": "9.9 s",
+        "seconds(300)": "5 min",
+        "seconds(1e5)": "27.8 h",
+        "share(0, 10)": "0 %",
+        "share(1, 5000)": "< 0.1 %",
+        "share(5, 100)": "5.0 %",
+        "share(0, 0)": None,
+        "count(1234567)": "1\u202f234\u202f567",
+        "bytes(1536000)": "1.54 MB",
+        "stamp(1700000000123000000)": "2023-11-14 22:13:20.123 UTC",
+        "stamp(5000000000)": "5.000 s",
+    }
+    calls = ", ".join(f"m.{call}" for call in wanted)
+    assert page.evaluate(f"import('/page/words.js').then(m => [{calls}])") == list(wanted.values())
+
+
 def test_events_in_any_pieces(serve: Serve, open_page: Open) -> None:
     """A stream cut after every byte, with both line ends, comments, several lines of data, and other fields."""
     page = open_page(serve({}).url)

@@ -5,11 +5,10 @@ import { badge } from "./status.js";
 import { stamp } from "./words.js";
 
 const MOST = 200;
-const SEEN_MOST = 20_000; // keys of changes that were told before, of which the oldest are forgotten
 
 export class Changes {
   #log = [];
-  #seen = new Set();
+  #told = new Map(); // by id: keys of the changes that were told last
   #before = null; // status by id, null before the first data
 
   constructor({ list, none, announce }, choose) {
@@ -18,11 +17,12 @@ export class Changes {
 
   /** Take what the service tells of its filters; a change may be told more than once. */
   update(filters) {
-    const fresh = Object.entries(filters)
-      .flatMap(([id, filter]) => (filter.changes ?? []).map((change) => read(id, change)))
-      .filter((change) => this.#isNew(change));
-    for (const id of Object.keys(this.#before ?? {}))
-      if (!Object.hasOwn(filters, id)) fresh.push({ id, t_ns: Date.now() * 1e6, from: this.#before[id], to: "gone", reason: "no longer served" });
+    const fresh = Object.entries(filters).flatMap(([id, filter]) => this.#fresh(id, filter.changes ?? []));
+    for (const [id, from] of Object.entries(this.#before ?? {})) {
+      if (Object.hasOwn(filters, id)) continue;
+      this.#told.delete(id);
+      fresh.push({ id, t_ns: Date.now() * 1e6, from, to: "gone", reason: "no longer served" });
+    }
     const first = this.#before === null;
     this.#before = Object.fromEntries(Object.entries(filters).map(([id, filter]) => [id, filter.health?.status]));
     if (!fresh.length) return;
@@ -32,12 +32,12 @@ export class Changes {
     if (!first) say(this.announce, words(fresh));
   }
 
-  #isNew(change) {
-    const key = keyOf(change);
-    if (this.#seen.has(key)) return false;
-    this.#seen.add(key);
-    if (this.#seen.size > SEEN_MOST) this.#seen.delete(this.#seen.values().next().value);
-    return true;
+  /** Those that were not told before. */
+  #fresh(id, changes) {
+    const before = this.#told.get(id);
+    const all = changes.map((change) => read(id, change));
+    if (all.length) this.#told.set(id, new Set(all.map(keyOf)));
+    return all.filter((change) => !before?.has(keyOf(change)));
   }
 
   #row(change) {

@@ -35,6 +35,7 @@ export class Detail {
     showReasons(parts.reasons, health);
     showPairs(parts.figures, figuresOf(health));
     showSensors(parts.sensors, sensors);
+    parts["map-figure"].hidden = false; // its size is to be known
     const words = drawMap(parts.map, estimate);
     parts["map-figure"].hidden = words === null;
     parts.map.setAttribute("aria-label", `Map: ${words}`);
@@ -90,7 +91,8 @@ function recordingOf(recording) {
 /** Every figure below, by its path; whatever the service adds one day is here. */
 function leaves(value, path = "") {
   if (value === null || value === undefined) return [[path, null]];
-  if (Array.isArray(value) && value.every((each) => typeof each !== "object")) return [[path, value.join("; ") || "none"]];
+  if (Array.isArray(value) && value.every((each) => typeof each !== "object"))
+    return [[path, value.join("; ") || "none"]];
   if (typeof value !== "object") return [[path, String(value)]];
   return Object.entries(value).flatMap(([key, each]) => leaves(each, path ? `${path}.${key}` : key));
 }

@@ -7,6 +7,7 @@ import { known, number, seconds, share } from "./words.js";
 const WIDTH = 105;
 const HEIGHT = 14;
 const MOST = 3; // times what is expected: the right end of the bar
+const FIGURES = ["rate", "expected", "age", "delay", "slowest", "gated", "late", "invalid"];
 
 /** The rows of the table. */
 export function showSensors(table, sensors) {
@@ -17,7 +18,7 @@ function sensorRow(name) {
   const topic = h("span", { class: "soft" });
   const mark = badge();
   const nis = nisBar();
-  const figures = Object.fromEntries(["rate", "expected", "age", "delay", "slowest", "gated", "late", "invalid"].map((key) => [key, h("span")]));
+  const figures = Object.fromEntries(FIGURES.map((key) => [key, h("span")]));
   const why = h("ul", { class: "reasons" });
   const whyRow = h("tr", { role: "row", class: "reasons" }, h("td", { role: "cell", colspan: 9 }, why));
   const node = h(
@@ -59,10 +60,14 @@ function sensorRow(name) {
 
 /** What is wrong, then what is worth knowing. */
 export function showReasons(list, { reasons = [], notes = [] }) {
-  const lines = [...reasons.map((text) => ({ text, kind: "reason" })), ...notes.map((text) => ({ text, kind: "note" }))];
-  keyed(list, lines, ({ text, kind }) => `${kind} ${text}`, ({ text, kind }) => {
-    const node = h("li", { class: kind }, kind === "note" ? `Note: ${text}` : text);
-    return { node, update: () => {} };
+  const lines = [...reasons.map((text) => ["reason", text]), ...notes.map((text) => ["note", `Note: ${text}`])];
+  keyed(list, [...lines.entries()], ([place]) => place, () => {
+    const node = h("li");
+    const update = ([, [kind, text]]) => {
+      set(node, "class", kind);
+      say(node, text);
+    };
+    return { node, update };
   });
 }
 
