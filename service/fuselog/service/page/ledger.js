@@ -4,21 +4,22 @@ import { figure, h, keyed, say } from "./dom.js";
 import { sum } from "./sensors.js";
 import { count } from "./words.js";
 
-const COLUMNS = ["received", "fused", "gated", "late", "duplicate", "skipped", "pending", "invalid", "shed", "missed", "unknown"];
 const ENDS = ["fused", "gated", "late", "duplicate", "skipped", "pending", "invalid"]; // of a received sample
-const NOT_RECEIVED = "not received:";
+const LOST = ["shed", "missed", "unknown"]; // before the filter
+const COLUMNS = ["received", ...ENDS, ...LOST];
 
 /** A row for each sensor, and the sum. */
 export function showLedger(table, sensors) {
   keyed(table.tHead.rows[0], ["sensor", ...COLUMNS, "balance"], (name) => name, heading);
   const rows = Object.entries(sensors).map(([name, sensor]) => [name, countsOf(sensor), sensor.account?.invalid ?? {}]);
-  const total = Object.fromEntries(COLUMNS.map((name) => [name, rows.reduce((all, [, counts]) => all + counts[name], 0)]));
-  keyed(table.tBodies[0], [...rows, ["all", total, null]], ([name, , invalid]) => (invalid ? `sensor ${name}` : "all"), row);
+  const total = (column) => rows.reduce((sum, [, counts]) => sum + counts[column], 0);
+  const all = ["all", Object.fromEntries(COLUMNS.map((column) => [column, total(column)])), null];
+  keyed(table.tBodies[0], [...rows, all], ([name, , invalid]) => (invalid ? `sensor ${name}` : "all"), row);
 }
 
 function heading(name) {
-  const lost = ["shed", "missed", "unknown"].includes(name);
-  const node = h("th", { scope: "col", class: name === "sensor" ? null : "n", title: lost ? `${NOT_RECEIVED} ${name}` : null }, name);
+  const title = LOST.includes(name) ? "not received" : null;
+  const node = h("th", { scope: "col", class: name === "sensor" ? null : "n", title }, name);
   return { node, update: () => {} };
 }
 

@@ -88,9 +88,10 @@ export class FilterList {
 
   #show() {
     const words = this.search.value.toLowerCase().split(/\s+/).filter(Boolean);
-    const shown = this.#filters.filter(
-      (entry) => (this.#only === null || statusOf(entry) === this.#only) && words.every((word) => text(entry).includes(word)),
-    );
+    const shown = this.#filters.filter((entry) => {
+      const wanted = this.#only === null || statusOf(entry) === this.#only;
+      return wanted && words.every((word) => text(entry).includes(word));
+    });
     this.#shown = shown.map(([id]) => id);
     keyed(this.list, shown, ([id]) => id, ([id]) => option(id, this.list));
     for (const node of this.list.children) set(node, "aria-selected", String(node.dataset.id === this.#chosen));

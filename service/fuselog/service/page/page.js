@@ -27,7 +27,10 @@ const list = new FilterList(
   { choose: remember, enter: () => parts.detail.focus() },
 );
 const detail = new Detail(parts);
-const changes = new Changes({ list: parts.changes, none: parts["no-changes"], announce: parts.announce }, (id) => list.select(id));
+const changes = new Changes(
+  { list: parts.changes, none: parts["no-changes"], announce: parts.announce },
+  (id) => list.select(id),
+);
 const linkShape = shape();
 
 const token = new Token(

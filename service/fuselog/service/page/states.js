@@ -17,8 +17,8 @@ function stateRow({ name }) {
   const [value, spread] = [h("td", { class: "n" }), h("td", { class: "n" })];
   const band = s("path", { class: "band" });
   const line = s("path", { class: "line" });
-  const svg = s("svg", { class: "spark", width: WIDTH, height: HEIGHT, viewBox: `0 0 ${WIDTH} ${HEIGHT}`, preserveAspectRatio: "none", "aria-hidden": "true" });
-  svg.append(band, line);
+  const box = { width: WIDTH, height: HEIGHT, viewBox: `0 0 ${WIDTH} ${HEIGHT}`, preserveAspectRatio: "none" };
+  const svg = s("svg", { class: "spark", ...box, "aria-hidden": "true" }, band, line);
   const node = h("tr", {}, h("th", { scope: "row" }, name), value, spread, h("td", {}, svg));
   const update = ({ i, rows, value: now }) => {
     figure(value, number(now, 5));
@@ -32,7 +32,9 @@ function stateRow({ name }) {
 
 /** Paths of (t, value, half width of its band) over time; times without a number are left out. */
 export function sparkline(points) {
-  const good = points.filter(([, value]) => Number.isFinite(value)).map(([t, value, half]) => [t, value, Number.isFinite(half) ? half : 0]);
+  const good = points
+    .filter(([, value]) => Number.isFinite(value))
+    .map(([t, value, half]) => [t, value, Number.isFinite(half) ? half : 0]);
   if (good.length < 2) return { band: "", line: "" };
   const [t0, t1] = [good[0][0], good.at(-1)[0]];
   const low = Math.min(...good.map(([, value, half]) => value - half));
