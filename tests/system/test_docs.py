@@ -2,12 +2,10 @@
 
 import re
 import shlex
-import threading
 from pathlib import Path
 
 import pytest
 import typer
-from fuselog.service.live.standby import Standby
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 
@@ -16,6 +14,7 @@ from fuselog.fusion.config import settings
 from fuselog.fusion.kernel.cache import model_card
 from fuselog.fusion.kernel.declared import MODEL_NAMES, find_model
 from fuselog.service.cli import make_app
+from fuselog.service.live.standby import Standby
 from fuselog.service.rest.app import create_app
 
 ROOT = Path(__file__).parents[2]
@@ -156,7 +155,7 @@ def test_python_runs(page, tmp_path, monkeypatch, capsys):
 
 
 def test_every_path_of_the_interface_is_documented():
-    served = Standby())
+    served = Standby()
     app = create_app(served, alive=lambda: True, ready=lambda: True)
     text = (DOCS / "http.md").read_text()
     for path, operations in app.openapi()["paths"].items():

@@ -40,7 +40,9 @@ def plain(value: Any) -> Any:
 @cache
 def model_of(kind: type) -> type[BaseModel]:
     """The model of what ``plain`` makes of a dataclass or named tuple."""
-    hints = get_type_hints(kind)
+    hints = get_type_hints(kind) | {
+        name: get_type_hints(found.fget)["return"] for name, found in vars(kind).items() if isinstance(found, property)
+    }
     members: dict[str, Any] = {name: (_type(hints[name]), ...) for name in _names(kind)}
     return create_model(kind.__name__, __doc__=kind.__doc__, __module__=kind.__module__, **members)
 
@@ -62,8 +64,11 @@ def _as_type(model: type[BaseModel]) -> Any:
 
 @cache
 def _names(kind: type) -> tuple[str, ...]:
-    """The names of what is in a dataclass or named tuple; none of another type."""
-    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else getattr(kind, "_fields", ())  # pyright: ignore[reportUnknownArgumentType]  narrowed to nothing known
+    """The names of what is in a dataclass, its properties too, or in a named tuple; none of another type."""
+    if not is_dataclass(kind):
+        return getattr(kind, "_fields", ())  # pyright: ignore[reportUnknownArgumentType]  narrowed to nothing known
+    properties = (name for name, found in vars(kind).items() if isinstance(found, property))
+    return (*(field.name for field in fields(kind)), *properties)
 
 
 def _type(hint: Any) -> Any:
