@@ -90,7 +90,7 @@ class TimingHealth:
     spread_s: float  # between the 5 % and the 95 % quantile
     p95_s: float
     p99_s: float
-    jump_s: float | None  # of the last samples against those before, where both keep together and are apart
+    jump_s: float | None  # at its largest step, where it keeps together before and after
     unit: str | None  # what the stamps seem to count in, where that is not ns
 
 
@@ -144,11 +144,16 @@ def chi_square_band(dof: int) -> tuple[float, float]:
     return low, high
 
 
+def expected_rate(plan: Plan, sensor: SensorPlan) -> float | None:
+    """The rate (Hz) that the configuration says, of the sensor or for its gains."""
+    return sensor.settings.rate or plan.config.gain.rates.get(sensor.name)
+
+
 def rate_health(plan: Plan, sensor: SensorPlan, window: Window, measured: Floats) -> RateHealth | None:
     """Samples a second over the last ones, and what is to be expected."""
     if measured[VALID] < FEWEST or not measured[SPAN]:
         return None
-    declared = sensor.settings.rate or plan.config.gain.rates.get(sensor.name)
+    declared = expected_rate(plan, sensor)
     return RateHealth(
         hz=float((measured[DISTINCT] - 1) / measured[SPAN]),
         expected_hz=declared or window.learned_hz,

@@ -106,9 +106,11 @@ def _of_nis(whole: Ints, real: Floats, begin: int, end: int, limits: Floats, thr
 @inline
 def _of_the_last(whole: Ints, real: Floats, begin: int, end: int, out: Floats) -> None:
     """The median NIS per degree of freedom of the last few that were tried, and whether all of them were refused."""
-    ordered, k, refused = np.empty(FEWEST), 0, True
+    ordered, k, asked, refused = np.empty(FEWEST), 0, 0, True
     for j in range(end - 1, begin - 1, -1):
-        dof, nis = whole[DOF, j], real[0, j]
+        decision, dof, nis = whole[DECISION, j], whole[DOF, j], real[0, j]
+        if decision <= _GATED and asked < FEWEST:
+            asked, refused = asked + 1, refused and decision == _GATED
         if dof <= 0 or not math.isfinite(nis) or k == FEWEST:
             continue
         place = k
@@ -117,9 +119,8 @@ def _of_the_last(whole: Ints, real: Floats, begin: int, end: int, out: Floats) -
             place -= 1
         ordered[place] = nis / dof
         k += 1
-        refused = refused and whole[DECISION, j] == _GATED
     out[MIDDLE_OF] = k
-    out[LOCKED] = refused and k == FEWEST
+    out[LOCKED] = refused and asked == FEWEST
     if k:
         out[MIDDLE] = ordered[k // 2]
 
