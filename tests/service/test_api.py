@@ -14,7 +14,7 @@ from fastapi import FastAPI
 from fuselog.fusion import Filter, compile_plan, parse_config
 from fuselog.fusion.health import Losses, no_samples
 from fuselog.fusion.report import estimate_json
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 from fuselog.service.rest.api import create_app
 
 CONFIG = """\

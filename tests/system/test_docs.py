@@ -44,6 +44,7 @@ _SECTIONS = {  # first cell of a table's head, or the heading above it: whose ke
     "output": settings.OutputSettings,
     "smooth": settings.SmoothSettings,
     "zenoh": settings.ZenohSettings,
+    "tls": settings.TlsSettings,
     "http": settings.HttpSettings,
     "record": settings.RecordSettings,
 }

@@ -1,7 +1,7 @@
 """The ledger: every sample that was received is accounted for, sensor by sensor, exactly."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from fuselog.fusion.plan import Plan
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Account:
-    """received = fused + pending + duplicate + late + gated + skipped + the sum of invalid."""
+    """received = fused + pending + duplicate + late + gated + skipped + disabled + the sum of invalid."""
 
     received: int
     fused: int
@@ -20,14 +20,15 @@ class Account:
     late: int
     duplicate: int
     skipped: int
+    disabled: int
     pending: int
     invalid: dict[str, int]
 
     @property
     def balanced(self) -> bool:
         """Whether every sample is accounted for."""
-        known = self.fused + self.gated + self.late + self.duplicate + self.skipped + self.pending
-        return self.received == known + sum(self.invalid.values())
+        refused = self.gated + self.late + self.duplicate + self.skipped + self.disabled + sum(self.invalid.values())
+        return self.received == self.fused + refused + self.pending
 
 
 Ledger = dict[str, Account]
@@ -44,6 +45,7 @@ def make_ledger(plan: Plan, received: Sequence[int], pending: NDArray[np.int64],
             late=int(counts[i, Decision.LATE]),
             duplicate=int(counts[i, Decision.DUPLICATE]),
             skipped=int(counts[i, Decision.SKIPPED]),
+            disabled=int(counts[i, Decision.DISABLED]),
             pending=int(pending[i]),
             invalid={d.name.removeprefix("INVALID_").lower(): int(counts[i, d]) for d in reasons},
         )
@@ -54,6 +56,7 @@ def make_ledger(plan: Plan, received: Sequence[int], pending: NDArray[np.int64],
 def sum_accounts(ledger: Ledger) -> Account:
     """One account for all sensors."""
     accounts = list(ledger.values())
-    invalid = {reason: sum(a.invalid[reason] for a in accounts) for reason in accounts[0].invalid} if accounts else {}
-    columns = ("received", "fused", "gated", "late", "duplicate", "skipped", "pending")
-    return Account(invalid=invalid, **{name: sum(getattr(a, name) for a in accounts) for name in columns})
+    reasons = {reason for account in accounts for reason in account.invalid}
+    invalid = {d: sum(account.invalid[d] for account in accounts) for d in sorted(reasons)}
+    counts = [field.name for field in fields(Account) if field.name != "invalid"]
+    return Account(invalid=invalid, **{name: sum(getattr(account, name) for account in accounts) for name in counts})

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.engine import Engine, Estimate
-from fuselog.fusion.events import Events
 from fuselog.fusion.kernel.tables import Gain
 from fuselog.fusion.plan import Plan
 
@@ -19,19 +18,11 @@ class Shadow:
 
     def __init__(self, plan: Plan, *, window_ns: int | None = None) -> None:
         """``window_ns`` as ``Engine`` takes it."""
-        self._engine = Engine(plan, window_ns=window_ns, optimal=True)
-
-    def advance(self, events: Events) -> None:
-        """Follow the filter."""
-        self._engine.advance(events)
-
-    def place(self, rank: int, lever: NDArray[np.float64]) -> None:
-        """Say where a sensor is, as ``Engine.place``."""
-        self._engine.place(rank, lever)
+        self.engine = Engine(plan, window_ns=window_ns, optimal=True)
 
     def ratio(self, estimate: Estimate) -> float:
         """The variances of an estimate over those that the optimal gain would have, on average over the states."""
-        variances, least = np.diag(estimate.P), np.diag(self._engine.estimate.P)
+        variances, least = np.diag(estimate.P), np.diag(self.engine.estimate.P)
         known = estimate.known & (least > 0)
         return float(np.mean(variances[known] / least[known])) if known.any() else 1.0
 

@@ -1,6 +1,6 @@
 """The health of a filter: a pure function of its counters, the last rows of its track, and what a clock says."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -71,12 +71,11 @@ def assess(
     losses: Mapping[str, Losses],
     optimality_ratio: float | None = None,
     ages: Ages | None = None,
-    disabled: Collection[str] = (),
 ) -> Health:
     """The health of a filter as it is now.
 
     ``losses`` by topic, without the slash in front. ``ages`` say what a clock says, which fusion has none of: without
-    them nothing is stale by the clock, and losses and resets count for ever. ``disabled``: sensors switched off.
+    them nothing is stale by the clock, and losses and resets count for ever.
     """
     ages = ages or Ages()
     sensors = {
@@ -88,7 +87,6 @@ def assess(
             losses=losses.get(same_topic(sensor.settings.topic), Losses()),
             estimate=estimate,
             ages=ages,
-            disabled=sensor.name in disabled,
         )
         for sensor in plan.sensors
     }

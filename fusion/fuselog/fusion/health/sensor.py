@@ -104,7 +104,6 @@ def assess_sensor(
     losses: Losses,
     estimate: Estimate,
     ages: Ages,
-    disabled: bool,
 ) -> SensorHealth:
     """The figures of a sensor and what they say, but for what only all sensors together do."""
     measured = measure(plan, sensor, window, JUDGED)
@@ -116,7 +115,7 @@ def assess_sensor(
     nis, gate, gain = nis_health(measured), gate_health(plan, sensor, measured), _gain(plan, sensor, window, measured)
     rate, timing = rate_health(plan, sensor, window, measured), timing_health(window, measured)
     innovation = innovation_health(sensor, measured)
-    if disabled:
+    if not sensor.settings.enabled:
         findings = [Finding("disabled", "disabled", "switched off")]
     else:
         wrong = [

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fuselog.fusion import Filter, FixedLag, Outputs, Plan, Stream, compile_plan, parse_config
+from fuselog.fusion import Filter, Outputs, Plan, Stream, compile_plan, parse_config
 from fuselog.fusion.health import assess, no_samples
 from fuselog.fusion.intake import Intake
 from fuselog.schemas import CdrEncoder, Messages, definition, pack
@@ -20,10 +20,9 @@ def warm_up(plan: Plan) -> None:
     """Compile the kernels of a plan, or load them from the cache: no sample and no result waits for it later."""
     _decode_one()
     filter = Filter(plan, order="as_received")
+    filter.warm_up()
     Outputs(plan).encode(filter.feed(_messages([])))
     assess(plan, estimate=filter.estimate, ledger=filter.ledger, recent=no_samples(plan), losses={})
-    if plan.config.smooth is not None:
-        FixedLag(plan).warm_up()
 
 
 def _decode_one() -> None:

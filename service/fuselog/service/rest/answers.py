@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field
 from fuselog.fusion.health import Health, Losses, SensorHealth, SensorStatus, Status
 from fuselog.fusion.report import estimate_json
 from fuselog.replay.recording import RecordingStatus
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 from fuselog.service.recording.record import status_json
 
 Number = float | None  # JSON has neither NaN nor infinity
@@ -56,7 +56,7 @@ class StateAnswer(BaseModel):
 
 
 class AccountAnswer(BaseModel):
-    """received = fused + gated + late + duplicate + skipped + pending + the sum of invalid."""
+    """received = fused + gated + late + duplicate + skipped + disabled + pending + the sum of invalid."""
 
     received: int
     fused: int
@@ -64,6 +64,7 @@ class AccountAnswer(BaseModel):
     late: int
     duplicate: int
     skipped: int
+    disabled: int
     pending: int
     invalid: dict[str, int]
 
