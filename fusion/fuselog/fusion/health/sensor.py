@@ -15,7 +15,9 @@ from fuselog.fusion.health.figures import (
     expected_rate,
     gate_health,
     innovation_health,
+    measure,
     nis_health,
+    per_number,
     rate_health,
     timing_health,
 )
@@ -31,8 +33,6 @@ from fuselog.fusion.health.measure import (
     STEPS,
     WHOLE,
     Floats,
-    measure,
-    per_number,
 )
 from fuselog.fusion.health.reasons import (
     frozen,
