@@ -200,9 +200,8 @@ def report(robots, seconds, sent, seen, accounts, cores, times) -> None:
     print(f"the service used {cores:.2f} cores (goal {GOAL_CORES:g})")
     if times:
         ms = np.array(times) * 1e3
-        print(
-            f"{len(times) / seconds:.0f} health requests/s, ms: p50 {np.median(ms):.1f}, p99 {np.percentile(ms, 99):.1f}"
-        )
+        rate = len(times) / seconds
+        print(f"{rate:.0f} health requests/s, ms: p50 {np.median(ms):.1f}, p99 {np.percentile(ms, 99):.1f}")
 
 
 class Service:

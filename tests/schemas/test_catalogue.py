@@ -4,9 +4,8 @@ import pytest
 
 from fuselog.schemas import SchemaError, definition, field_paths, known_definitions
 
-OURS = tuple(
-    f"fuselog_msgs/msg/{name}" for name in ("Command", "Decision", "Estimate", "Health", "Reading", "SensorHealth")
-)
+_NAMES = ("Command", "Decision", "Estimate", "Health", "Reading", "SensorHealth")
+OURS = tuple(f"fuselog_msgs/msg/{name}" for name in _NAMES)
 
 
 @pytest.mark.parametrize("name", known_definitions())

@@ -126,7 +126,7 @@ class _Kept:
     def __init__(self, output: Output) -> None:
         self.output = output
         self.last = time.monotonic()  # when the newest came
-        self._file = tempfile.TemporaryFile()
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115  closed with this object
         self._sizes = array("q")
         self._hash = hashlib.sha256()
 

@@ -11,7 +11,7 @@ from typing import Literal, TypeVar
 
 import zenoh
 
-from fuselog.fusion import Estimate, Outputs
+from fuselog.fusion import Estimate
 from fuselog.fusion.commands import Command, CommandError
 from fuselog.replay.recording import RecordingStatus
 from fuselog.service.live.group import Group
@@ -91,11 +91,12 @@ class Fleet:
 
     def estimate_at(self, id: str, t_ns: int) -> Estimate:
         """As ``Served``."""
-        raise CommandError("not available yet")
+        return self._answer(id, lambda member: member.filter.estimate_at(t_ns))
 
     def command(self, id: str, command: Command) -> None:
         """As ``Served``."""
-        raise CommandError("not available yet")
+        asked_ns = time.time_ns()
+        self._answer(id, lambda member: member.command(command, asked_ns))
 
     def reload(self) -> list[str]:
         """As ``Served``."""
@@ -133,12 +134,11 @@ class Fleet:
     def _make(self, group: Group, captures: Captures) -> Member:
         """A filter of a group, and what it publishes with; called on the thread of the filters."""
         plan = group.plan_of(captures)
-        outputs = Outputs(plan)
-        outbox = Outbox(self._session, self._post, self._told, outputs, source=self._source)
+        outbox = Outbox(self._session, self._post, self._told, plan, source=self._source)
         recorder = self._recorders.get(group)
         if recorder is not None:
-            outbox.record = partial(recorder.put_outputs, tuple(outputs.topics))
-        return Member(group, plan, outputs, outbox, learn=partial(learn, self._session))
+            outbox.record = partial(recorder.put_outputs, outbox.topics)
+        return Member(group, captures, plan, outbox, learn=partial(learn, self._session))
 
     def _take(self, number: int, recorder: FilterRecorder | None, sample: zenoh.Sample) -> None:
         """A sample on the network thread; recorded first, for the filter may hold it up."""

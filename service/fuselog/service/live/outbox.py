@@ -4,10 +4,12 @@ import queue
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
 import zenoh
 
-from fuselog.fusion import Output, Outputs, Stream
-from fuselog.schemas import Messages
+from fuselog.fusion import Output, Outputs, Plan, Stream
+from fuselog.fusion.health import HEALTH
+from fuselog.schemas import Messages, pack
 from fuselog.service.streams import Announcements
 from fuselog.service.transport import key_of
 from fuselog.service.wire import Tag, media_type, write_tag
@@ -47,17 +49,16 @@ class Post:
 class Outbox:
     """The publishers of one filter. ``offer`` never waits: what does not fit is dropped and counted."""
 
-    def __init__(
-        self, session: zenoh.Session, post: Post, told: Announcements, outputs: Outputs, *, source: bytes
-    ) -> None:
+    def __init__(self, session: zenoh.Session, post: Post, told: Announcements, plan: Plan, *, source: bytes) -> None:
         self.dropped = 0
         self.record: Callable[[Messages], None] | None = None  # is given all that is offered, and never waits either
+        self.topics = (*Outputs(plan).topics, Output(f"{plan.config.output.estimate.rstrip('/')}/health", HEALTH))
         self._post, self._told, self._source = post, told, source
-        self._sequence = [0] * len(outputs.topics)
-        media = [media_type("cdr", output.schema_name) for output in outputs.topics]
-        self._keys = [key_of(output.topic) for output in outputs.topics]
+        self._sequence = [0] * len(self.topics)
+        media = [media_type("cdr", output.schema_name) for output in self.topics]
+        self._keys = [key_of(output.topic) for output in self.topics]
         self._publishers = [Publisher(session, key, kind) for key, kind in zip(self._keys, media, strict=True)]
-        told.add({key: [_stream(output)] for key, output in zip(self._keys, outputs.topics, strict=True)})
+        told.add({key: [_stream(output)] for key, output in zip(self._keys, self.topics, strict=True)})
 
     def offer(self, messages: Messages) -> None:
         """Give what ``Outputs.encode`` made to the publishing thread."""
@@ -65,6 +66,22 @@ class Outbox:
             self.record(messages)
         if len(messages) and not self._post.put(len(messages), partial(self._publish, messages)):
             self.dropped += len(messages)
+
+    def tell_health(self, payload: bytes, t_ns: int) -> None:
+        """Give a message of health, of a time of the filter, to the publishing thread."""
+        data, start, length = pack([payload])
+        stream, at = np.array([len(self.topics) - 1], np.int32), np.array([t_ns])
+        self.offer(
+            Messages(
+                stream=stream,
+                data=data,
+                start=start,
+                length=length,
+                log_time=at,
+                publish_time=at,
+                sequence=0 * at,
+            )
+        )
 
     def close(self) -> None:
         """Take the publishers back, after what was offered."""

@@ -14,9 +14,10 @@ from fuselog.service.live.keys import Captures
 from fuselog.service.live.member import Member, Snapshot
 from fuselog.service.live.sources import Numbered
 
-_LOOK_EVERY_S = 0.02  # how old a snapshot may be
+_LOOK_EVERY_S = 0.1  # how old a snapshot may be while samples come
+_WATCH_EVERY_S = 0.25  # and the judgement of a filter's health
 _GATHER_S = 0.004  # most that a turn waits for more to come, where turns are what takes the time
-_IDLE_S = 0.5
+_QUIET_S = 0.02  # without samples, then snapshots are renewed at once
 _MOST_UNKNOWN = 1000
 _MOST_ENDED = 100
 
@@ -102,19 +103,19 @@ class Runner:
 
     def run(self) -> None:
         """Turn after turn until ``stop``."""
-        looked = tidied = 0.0
+        looked = watched = 0.0
         while True:
             stopping = self._stopping
-            arrivals = self.inbox.take(_LOOK_EVERY_S if self._stale or stopping else _IDLE_S)
+            arrivals = self.inbox.take(_QUIET_S if self._stale or stopping else _WATCH_EVERY_S)
             self.heartbeat = begun = time.monotonic()
             self._turn(arrivals)
             now = time.monotonic()
             if self._stale and (not arrivals or now - looked > _LOOK_EVERY_S):
                 self._look()
                 looked = now
-            if now - tidied > 1.0:
-                self._expire(now)
-                tidied = now
+            if now - watched > _WATCH_EVERY_S:
+                self._watch(now)
+                watched = now
             if stopping and not arrivals:
                 break
             if arrivals and not stopping and len(arrivals) < self.inbox.capacity // 16:
@@ -138,7 +139,7 @@ class Runner:
     def _feed(self, batches: dict[int, tuple[Member, list[Numbered]]]) -> None:
         for member, samples in batches.values():
             member.feed(samples)
-            self._stale.add(member.plan.config.id)
+            self._stale.add(member.id)
         batches.clear()
 
     def _route(self, arrival: Arrival) -> list[Target]:
@@ -189,7 +190,7 @@ class Runner:
             member = self._make(group, captures)
         except FuselogError as error:  # what was compiled with other names before
             raise AssertionError(error) from error
-        name = member.plan.config.id
+        name = member.id
         self._members[name] = member
         self._ids[group, captures] = name
         self._ended.pop(name, None)
@@ -212,7 +213,12 @@ class Runner:
         for name, member in [*self._members.items()]:
             if member.group.names and now - (member.last_arrival or now) > member.group.plan.config.fleet.expire:
                 self._end(name)
-                self._show()
+
+    def _watch(self, now: float) -> None:
+        self._expire(now)
+        for member in self._members.values():
+            member.watch()
+        self._show()
 
     def _look(self) -> None:
         for name in self._stale & self._members.keys():
