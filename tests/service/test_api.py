@@ -12,7 +12,7 @@ import pytest
 from fastapi import FastAPI
 
 from fuselog.fusion import Filter, compile_plan, parse_config
-from fuselog.fusion.health import Losses, no_samples
+from fuselog.fusion.health import Losses, assess, no_samples
 from fuselog.fusion.report import estimate_json
 from fuselog.service.live.member import Snapshot
 from fuselog.service.rest.api import create_app
@@ -33,12 +33,14 @@ def snapshot() -> Snapshot:
     """A filter that has seen nothing."""
     plan = compile_plan(*parse_config(CONFIG))
     filter = Filter(plan, order="as_received")
+    recent = no_samples(plan)
     return Snapshot(
         plan=plan,
         estimate=filter.estimate,
         ledger=filter.ledger,
-        recent=no_samples(plan),
-        optimality_ratio=None,
+        recent=recent,
+        health=assess(plan, estimate=filter.estimate, ledger=filter.ledger, recent=recent, losses={}),
+        changes=(),
         losses={},
         progress={},
         unpublished=0,
@@ -109,7 +111,9 @@ def test_a_filter_that_waits(client: Make) -> None:
 def test_a_broken_filter_still_answers(client: Make, snapshot: Snapshot) -> None:
     """A state that is not finite: null in JSON, diverged with the reason, alive and ready."""
     broken = replace(snapshot.estimate, t_ns=5, x=np.array([np.nan, np.inf, 0.0, 1.0]))
-    lost = replace(snapshot, estimate=broken, unpublished=3, losses={"gps": Losses(1, 2, 3, "of no type")})
+    plan, ledger, losses = snapshot.plan, snapshot.ledger, {"gps": Losses(1, 2, 3, "of no type")}
+    health = assess(plan, estimate=broken, ledger=ledger, recent=snapshot.recent, losses=losses)
+    lost = replace(snapshot, estimate=broken, unpublished=3, losses=losses, health=health)
     answers = client(lost)
     assert answers.get(f"{ROBOT}/state").json()["state"] == {"x": None, "y": None, "vx": 0.0, "vy": 1.0}
     health = answers.get(f"{ROBOT}/health").json()
