@@ -164,7 +164,6 @@ class Member:
             recent=self._recent,
             losses=self._losses(),
             optimality_ratio=self.filter.optimality_ratio,
-            disabled=[sensor.name for sensor in plan.sensors if not sensor.settings.enabled],
         )
         assert self._memory.health is not None
         if self._memory.changes:
