@@ -17,6 +17,10 @@ FRESH_S = 0.2  # how old the health that is shown may be
 _TOLD_S = 0.05  # and an event of the stream, which has up to ten in a second
 
 
+_MOST_CHANGES = 50  # of health in an event
+_COLUMNS = ("stamp_ns", "arrival_ns", "seq", "decision", "nis", "dof", "innovation", "variance")
+
+
 class Health(NamedTuple):
     """The health of a filter, when it was looked at (monotonic s), and a mark of what it says."""
 
@@ -85,7 +89,7 @@ class Shown:
         return {
             "health": health,
             "state": state_plain(snapshot.plan, snapshot.estimate),
-            "changes": health.get("changes", []),
+            "changes": plain(getattr(snapshot, "changes", ())[-_MOST_CHANGES:]),
         }
 
     def _health_of(self, id: str, snapshot: Snapshot) -> Health:
@@ -106,5 +110,7 @@ def mark_of(content: bytes) -> str:
 
 def whole(snapshot: Snapshot) -> dict[str, Any]:
     """Everything of a snapshot but its configuration, for a report of a defect."""
-    names = (name for name in Snapshot.__slots__ if name != "plan")
-    return {name: plain(getattr(snapshot, name)) for name in names}
+    names = (name for name in Snapshot.__slots__ if name not in ("plan", "recent"))
+    sensors = zip(snapshot.plan.sensors, snapshot.recent, strict=True)
+    recent = {s.name: {column: plain(getattr(window, column)) for column in _COLUMNS} for s, window in sensors}
+    return {**{name: plain(getattr(snapshot, name)) for name in names}, "recent": recent}
