@@ -101,7 +101,7 @@ def test_the_mount_from_static_transforms() -> None:
     assert intake.pending == [2]
     assert intake.received == [2]
     told = messages_of([early._replace(t_ns=[]), transform([T + 2], turn, lever)])
-    events, levers, _ = intake.take(told)
+    events, levers = intake.take(told)
     assert events.size == 2
     assert intake.pending == [0]
     assert levers[0] == pytest.approx(lever)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fuselog.fusion import Decision, Filter, Stream, Track, compile_plan, parse_config
-from fuselog.fusion.health import Health, Losses, Window, assess, no_samples, remember
+from fuselog.fusion.health import Health, Losses, assess, no_samples, remember
 from fuselog.schemas import CdrEncoder, Messages, definition
 
 KIND = "geometry_msgs/msg/PoseStamped"
@@ -68,7 +68,7 @@ def both(n: int, sd: float = 1.0) -> list[tuple[str, float, float, float]]:
 def test_a_sound_filter_is_ok() -> None:
     """Right noise: NIS near its degrees of freedom, 5 % outside, nothing to say."""
     health = health_of(both(400))
-    assert (health.status, health.reasons) == ("ok", ())
+    assert (health.status, health.reasons) == ("healthy", ())
     assert health.finite
     assert health.positive
     nis = health.sensors["b"].nis
@@ -85,10 +85,13 @@ def test_pieces_make_no_difference() -> None:
 
 
 def test_nothing_yet() -> None:
-    """Waiting, with the topic; a sensor that is there is not waiting."""
-    assert health_of([]).reasons == ("a: no sample on /a yet", "b: no sample on /b yet")
+    """Initializing until something is fused, then degraded while a sensor waits; one that is there does not."""
+    nothing = health_of([])
+    assert nothing.status == "initializing"
+    assert nothing.reasons == ("a: no sample on /a yet", "b: no sample on /b yet", "nothing has been fused yet")
     some = health_of([row for row in both(30) if row[0] == "a"])
-    assert (some.status, some.reasons) == ("waiting", ("b: no sample on /b yet",))
+    assert (some.status, some.reasons) == ("degraded", ("b: no sample on /b yet",))
+    assert (some.sensors["a"].status, some.sensors["b"].status) == ("ok", "waiting")
 
 
 def test_noise_too_small() -> None:
@@ -107,9 +110,9 @@ def test_a_gate_that_refuses_all() -> None:
 def test_a_gate_that_never_fires() -> None:
     """A note: ten refusals by chance were to be expected, none came."""
     health = health_of(both(2000, sd=0.05))
-    assert health.status == "ok"
+    assert health.status == "healthy"
     assert health.sensors["a"].notes[0].startswith("the gate never fired in 2000 samples, 20 were to be expected")
-    assert health.sensors["b"].notes == ()
+    assert not any("gate" in note for note in health.sensors["b"].notes)
 
 
 def test_a_sensor_gone() -> None:
@@ -141,12 +144,26 @@ def test_losses_on_the_way() -> None:
 
 
 def test_memory_is_bounded() -> None:
-    """The last 200 of each sensor, the newest last."""
-    track = filled(range(500))
-    windows = remember(remember(no_samples(PLAN), track), track)
-    assert [len(window.nis) for window in windows] == [200, 0]
-    assert isinstance(windows[0], Window)
-    assert windows[0].stamp_ns.tolist() == list(range(300, 500))
+    """The last 1000 of each sensor, the newest last; what a window sees never changes."""
+    first = remember(no_samples(PLAN), filled(range(500)))
+    windows, whole = first, list(range(500))
+    for begin in range(500, 4000, 7):
+        windows = remember(windows, filled(range(begin, begin + 7)))
+        whole += range(begin, begin + 7)
+        assert windows[0].stamp_ns.tolist() == whole[-1000:]
+    assert first[0].stamp_ns.tolist() == list(range(500))
+    assert [len(window) for window in windows] == [1000, 0]
+    assert windows[0].log.whole.shape[1] < 1500
+    assert remember(windows, filled(range(5000)))[0].stamp_ns.tolist() == list(range(4000, 5000))
+
+
+def test_memory_may_be_continued_twice() -> None:
+    """Two continuations of one memory do not write over each other."""
+    base = remember(no_samples(PLAN), filled(range(10)))
+    one, other = remember(base, filled([20, 21])), remember(base, filled([30]))
+    assert one[0].stamp_ns.tolist() == [*range(10), 20, 21]
+    assert other[0].stamp_ns.tolist() == [*range(10), 30]
+    assert base[0].stamp_ns.tolist() == list(range(10))
 
 
 def filled(stamps: Sequence[int]) -> Track:
@@ -161,6 +178,7 @@ def filled(stamps: Sequence[int]) -> Track:
         sensor=np.zeros(n, np.int64),
         seq=np.arange(n),
         decision=np.full(n, Decision.FUSED, np.uint8),
+        z=np.zeros((n, 5)),
         nis=np.ones(n),
         dof=np.full(n, 2),
         x=np.zeros((n, 4)),

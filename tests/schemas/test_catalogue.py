@@ -4,7 +4,8 @@ import pytest
 
 from fuselog.schemas import SchemaError, definition, field_paths, known_definitions
 
-OURS = ("fuselog_msgs/msg/Decision", "fuselog_msgs/msg/Estimate", "fuselog_msgs/msg/Health", "fuselog_msgs/msg/Reading")
+_NAMES = ("Command", "Decision", "Estimate", "Health", "Reading", "SensorHealth")
+OURS = tuple(f"fuselog_msgs/msg/{name}" for name in _NAMES)
 
 
 @pytest.mark.parametrize("name", known_definitions())

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import zenoh
 from typer.testing import CliRunner
@@ -16,12 +17,13 @@ from typer.testing import CliRunner
 from fuselog.fusion import Outputs, Stream, compile_plan, parse_config
 from fuselog.replay import Channel, RawMessage, is_output, open_log
 from fuselog.replay.recording import Account, Recording, RecordingStatus, RecordOptions
-from fuselog.schemas import definition
+from fuselog.schemas import Messages, definition, pack
 from fuselog.service.cli import make_app
-from fuselog.service.recording.declared import describe, ros_key
+from fuselog.service.recording.declared import describe
 from fuselog.service.recording.recorder import Recorder
 from fuselog.service.recording.selection import Selection, expressions
 from fuselog.service.recording.spool import Spool
+from fuselog.service.ros_keys import ros_key
 from fuselog.service.streams import tell
 from fuselog.service.transport import Endpoints, TransportError, open_session
 from fuselog.service.wire import Tag, media_type, write_tag
@@ -310,12 +312,26 @@ sensors: {gps: {topic: /gps, fuse: [x, y], noise: {x: 1, y: 1}}}
         Recording(tmp_path / "a.mcap", RecordOptions()),
         partial(describe, sessions[1], {}),
         selection=Selection(),
-        outputs=outputs.topics,
     )
-    recorder.put_outputs(outputs.finish())
+    payloads = [b"estimate", b"decision"]
+    data, start, length = pack(payloads)
+    times, streams = np.zeros(2, np.int64), np.arange(2, dtype=np.int32)
+    recorder.put_outputs(
+        tuple(outputs.topics),
+        Messages(
+            stream=streams,
+            data=data,
+            start=start,
+            length=length,
+            log_time=times,
+            publish_time=times,
+            sequence=times,
+        ),
+    )
     assert recorder.finish().state == "closed"
     with open_log(tmp_path / "a.mcap") as log:
         assert [channel.topic for channel in log.channels.values()] == ["fused/odom", "fused/odom/decision"]
+        assert [message.data for message in log.messages()] == payloads
         assert all(is_output(channel) for channel in log.channels.values())
 
 

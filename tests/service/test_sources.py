@@ -5,8 +5,7 @@ from typing import Any, cast
 import numpy as np
 import zenoh
 
-from fuselog.service.live.inbox import Arrival
-from fuselog.service.live.sources import Progress, Sources
+from fuselog.service.live.sources import Numbered, Progress, Sources
 from fuselog.service.wire import Tag, write_tag
 
 A, B = b"a" * 16, b"b" * 16
@@ -29,10 +28,10 @@ class Sample:
         self.attachment = None if attachment is None else Bytes(attachment)
 
 
-def arrival(key: int, payload: bytes, tag: Tag | None = None, *, media: str = "good", at_ns: int = 5 * S) -> Arrival:
-    """A sample as the inbox hands it over."""
+def arrival(key: int, payload: bytes, tag: Tag | None = None, *, media: str = "good", at_ns: int = 5 * S) -> Numbered:
+    """A sample as a filter takes it."""
     sample = Sample(payload, media, None if tag is None else write_tag(tag))
-    return Arrival(key, cast(zenoh.Sample, cast(Any, sample)), at_ns)
+    return Numbered(key, cast(zenoh.Sample, cast(Any, sample)), at_ns)
 
 
 def identify(key: str, media: str) -> int | str:

@@ -9,6 +9,7 @@ import json, sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from fuselog.fusion import Filter, Outputs, Stream, compile_plan, parse_config
+from fuselog.fusion.health import assess, no_samples, remember
 from fuselog.schemas import CdrEncoder, definition
 from fuselog.service.live.sources import _messages
 from fuselog.service.live.warm import warm_up
@@ -35,10 +36,12 @@ filter = Filter(plan, order="as_received")
 filter.intake.open(0, Stream(topic="odom", encoding="cdr", schema_name=kind, schema_encoding="ros2msg",
                              schema_text=definition(kind)))
 track = filter.feed(_messages([(0, t, 1 + k) for k, t in enumerate(times)], payloads))
-smoothed = filter.smoothed()
-Outputs(plan).encode(track, smoothed)
+beside = filter.beside()
+Outputs(plan).encode(track, beside)
+recent = remember(no_samples(plan), track)
+assess(plan, estimate=filter.estimate, ledger=filter.ledger, recent=recent, losses={})
 new = sorted(set(signatures()) - set(before))
-print(json.dumps({"fused": filter.ledger["odom"].fused, "smoothed": len(smoothed), "new": new}))
+print(json.dumps({"fused": filter.ledger["odom"].fused, "smoothed": len(beside.smoothed), "new": new}))
 """
 
 

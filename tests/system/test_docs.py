@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from fuselog.service.live.standby import Standby
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 
@@ -15,7 +16,6 @@ from fuselog.fusion.config import settings
 from fuselog.fusion.kernel.cache import model_card
 from fuselog.fusion.kernel.declared import MODEL_NAMES, find_model
 from fuselog.service.cli import make_app
-from fuselog.service.live.one_filter import OneFilter
 from fuselog.service.rest.app import create_app
 
 ROOT = Path(__file__).parents[2]
@@ -46,6 +46,7 @@ _SECTIONS = {  # first cell of a table's head, or the heading above it: whose ke
     "output": settings.OutputSettings,
     "smooth": settings.SmoothSettings,
     "zenoh": settings.ZenohSettings,
+    "tls": settings.TlsSettings,
     "http": settings.HttpSettings,
     "tls of http": settings.HttpTlsSettings,
     "record": settings.RecordSettings,
@@ -155,7 +156,7 @@ def test_python_runs(page, tmp_path, monkeypatch, capsys):
 
 
 def test_every_path_of_the_interface_is_documented():
-    served = OneFilter(threading.Event())
+    served = Standby())
     app = create_app(served, alive=lambda: True, ready=lambda: True)
     text = (DOCS / "http.md").read_text()
     for path, operations in app.openapi()["paths"].items():

@@ -185,9 +185,9 @@ def test_filter_that_fails(tmp_path: Path, small_log: Path) -> None:
     """A fault of the program in the filter's thread: one line and exit 1, and the player is told."""
     path, _, _ = live_config(tmp_path, UNICYCLE)
     broken = (
-        "from fuselog.service import runner\n"
+        "from fuselog.service.live import sources\n"
         "def fail(*_): raise RuntimeError('broken')\n"
-        "runner.Sources.batch = fail\n"
+        "sources.Sources.batch = fail\n"
         "from fuselog.service.cli import main; main()"
     )
     service = subprocess.Popen([sys.executable, "-c", broken, "serve", path], stderr=subprocess.PIPE, text=True)

@@ -13,6 +13,7 @@ from fuselog.fusion.kernel.tables import SAMPLE_WIDTH
 class Decision(IntEnum):
     """What became of a sample. One that was skipped had no vote in its cycle of fixed weights.
 
+    One that is disabled is of a sensor that the configuration has turned off.
     ``INVALID_SINGULAR`` brought the state to where the model has no estimate.
     """
 
@@ -28,6 +29,7 @@ class Decision(IntEnum):
     INVALID_UNINITIALISED = 9
     SKIPPED = 10
     INVALID_SINGULAR = 11
+    DISABLED = 12
 
     @property
     def invalid(self) -> bool:

@@ -1,6 +1,7 @@
 """Gates by probability: the chi-square quantile for whole degrees of freedom."""
 
 import math
+from functools import lru_cache
 
 
 def chi_square_cdf(x: float, dof: int) -> float:
@@ -19,6 +20,7 @@ def chi_square_cdf(x: float, dof: int) -> float:
     return math.erf(math.sqrt(half)) - math.exp(-half) * total
 
 
+@lru_cache(maxsize=4096)
 def chi_square_quantile(probability: float, dof: int) -> float:
     """The x with P(chi² <= x) = ``probability``, by bisection to the last bit that matters."""
     low, high = 0.0, float(dof)

@@ -12,7 +12,7 @@ from fuselog.fusion.plan import Plan
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Account:
-    """received = fused + pending + duplicate + late + gated + skipped + the sum of invalid."""
+    """received = fused + pending + duplicate + late + gated + skipped + disabled + the sum of invalid."""
 
     received: int
     fused: int
@@ -20,14 +20,15 @@ class Account:
     late: int
     duplicate: int
     skipped: int
+    disabled: int
     pending: int
     invalid: dict[str, int]
 
     @property
     def balanced(self) -> bool:
         """Whether every sample is accounted for."""
-        known = self.fused + self.gated + self.late + self.duplicate + self.skipped + self.pending
-        return self.received == known + sum(self.invalid.values())
+        refused = self.gated + self.late + self.duplicate + self.skipped + self.disabled + sum(self.invalid.values())
+        return self.received == self.fused + refused + self.pending
 
 
 Ledger = dict[str, Account]
@@ -44,8 +45,17 @@ def make_ledger(plan: Plan, received: Sequence[int], pending: NDArray[np.int64],
             late=int(counts[i, Decision.LATE]),
             duplicate=int(counts[i, Decision.DUPLICATE]),
             skipped=int(counts[i, Decision.SKIPPED]),
+            disabled=int(counts[i, Decision.DISABLED]),
             pending=int(pending[i]),
             invalid={d.name.removeprefix("INVALID_").lower(): int(counts[i, d]) for d in reasons},
         )
         for i, sensor in enumerate(plan.sensors)
     }
+
+
+def sum_accounts(ledger: Ledger) -> Account:
+    """One account for all sensors."""
+    accounts = list(ledger.values())
+    invalid = {reason: sum(a.invalid[reason] for a in accounts) for reason in accounts[0].invalid} if accounts else {}
+    columns = ("received", "fused", "gated", "late", "duplicate", "skipped", "pending")
+    return Account(invalid=invalid, **{name: sum(getattr(a, name) for a in accounts) for name in columns})

@@ -6,16 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fuselog.fusion.commands import Answer, command_text
+from fuselog.fusion.filter import Beside
 from fuselog.fusion.kernel.tables import NEVER
 from fuselog.fusion.odometry import Odometry
 from fuselog.fusion.plan import Plan
+from fuselog.fusion.ticks import Ticked
 from fuselog.fusion.track import Track, join_tracks, moved, period_ns
 from fuselog.schemas import CdrEncoder, Messages, definition
 
-ESTIMATE, ODOMETRY, DECISION = (
+ESTIMATE, ODOMETRY, DECISION, COMMAND = (
     "fuselog_msgs/msg/Estimate",
     "nav_msgs/msg/Odometry",
     "fuselog_msgs/msg/Decision",
+    "fuselog_msgs/msg/Command",
 )
 
 Floats = NDArray[np.float64]
@@ -39,47 +43,55 @@ class Outputs:
 
     ``<estimate>`` carries the state after every sample that moved it, from when every state is known,
     ``<estimate>/odometry`` the same as a pose for models that have one, ``<estimate>/decision`` what became of every
-    sample, ``<estimate>/smoothed`` what fixed-lag smoothing gave. Streams are numbered as ``topics``.
-    With ``output.rate``, of the estimates in a period of event time only the last is published, when the first one
-    after the period is there. How a track is cut into batches makes no difference.
+    sample, ``<estimate>/command`` what became of commands, ``<estimate>/smoothed`` what fixed-lag smoothing gave,
+    ``<estimate>/tick`` predictions to event-time ticks, ``<estimate>/settled`` the estimates in the order of stamps.
+    Streams are numbered as ``topics``. With ``output.rate``, of the estimates in a period of event time only the last
+    is published, when the first one after the period is there. How a track is cut into batches makes no difference.
     """
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._waiting: Track | None = None  # the estimate that the next period publishes
-        base = plan.config.output.estimate.rstrip("/")
-        self.topics = [Output(base, ESTIMATE), Output(f"{base}/decision", DECISION)]
-        if plan.card.has_pose:
-            self.topics.append(Output(f"{base}/odometry", ODOMETRY))
-        if plan.config.smooth is not None:
-            self.topics.append(Output(f"{base}/smoothed", ESTIMATE))
+        output, rate = plan.config.output, plan.config.output.rate
+        base = output.estimate.rstrip("/")
+        wanted = {
+            "": (ESTIMATE, True),
+            "decision": (DECISION, True),
+            "odometry": (ODOMETRY, plan.card.has_pose),
+            "smoothed": (ESTIMATE, plan.config.smooth is not None),
+            "tick": (ESTIMATE, output.ticks is not None),
+            "settled": (ESTIMATE, output.settled),
+            "command": (COMMAND, True),
+        }
+        kinds = {name: kind for name, (kind, there) in wanted.items() if there}
+        self.topics = [Output(f"{base}/{name}" if name else base, kind) for name, kind in kinds.items()]
+        self._stream = {name: number for number, name in enumerate(kinds)}
+        self._pace, self._settled_pace = _Pace(rate), _Pace(rate)
         self._estimate = _estimate_encoder(plan)
         self._odometry = _odometry_encoder(plan) if plan.card.has_pose else None
         self._odometry_values = Odometry(plan.states, rotates=plan.card.rotates).values
-        self._decisions = [_decision_encoder(s.name, s.dof, plan.config.output.frame) for s in plan.sensors]
+        self._decisions = [_decision_encoder(s.name, s.dof, output.frame) for s in plan.sensors]
 
-    def encode(self, track: Track, smoothed: Track | None = None) -> Messages:
-        """The messages of the next rows of a track: estimate, decision, odometry of each row; then those smoothed.
+    def encode(self, track: Track, beside: Beside | None = None) -> Messages:
+        """The messages of the next rows of a track: estimate, decision, odometry of each row; then those beside it.
 
-        ``log_time`` is the time of the estimate, or where nothing was estimated yet, the stamp of the sample.
+        ``log_time`` is the time of the estimate, or where nothing was estimated yet, the stamp of the sample; of a
+        command, when the last message before it was received, and ``publish_time`` when it was asked for.
         """
-        due, rows = self._due(track)
+        due, rows = self._pace.due(track)
         jobs = self._estimate_jobs(due, rows)
         for rank, encoder in enumerate(self._decisions):
             mine = np.flatnonzero(track.sensor == rank)
             values = _decision_values(track, mine, self._plan.sensors[rank].dof)
             stamps = np.clip(track.stamp_ns[mine], 0, _LAST_STAMP)
             times = np.where(track.t_ns[mine] == NEVER, stamps, track.t_ns[mine])
-            jobs.append(_Job(1, mine, encoder, stamps, values, times))
-        if smoothed is not None:
-            jobs.append(self._smoothed_job(smoothed.take(moved(smoothed)), len(track)))
-        return _encode(jobs)
+            jobs.append(_Job(self._stream["decision"], mine, encoder, stamps, values, times))
+        return _encode(jobs + ([] if beside is None else self._beside_jobs(beside, len(track))))
 
     def finish(self) -> Messages:
-        """The estimate that still waits for the end of its period."""
-        waiting, self._waiting = self._waiting, None
-        rows = [waiting] if waiting is not None else []
-        return _encode([job for due in rows for job in self._estimate_jobs(due, np.zeros(1, np.int64))])
+        """The estimates that still wait for the end of their period."""
+        one = np.zeros(1, np.int64)
+        jobs = [job for due in self._pace.rest() for job in self._estimate_jobs(due, one)]
+        return _encode([*jobs, *(self._track_job("settled", due, 0) for due in self._settled_pace.rest())])
 
     def estimates(self, encoded: Messages) -> NDArray[np.uint8]:
         """The bytes of all estimates among the messages of ``encode``, one after the other."""
@@ -90,22 +102,46 @@ class Outputs:
         jobs = [_Job(0, rows, self._estimate, due.t_ns, table, due.t_ns)]
         if self._odometry is not None:
             values = self._odometry_values(due.x, due.P)
-            jobs.append(_Job(2, rows, self._odometry, due.t_ns, values, due.t_ns))
+            jobs.append(_Job(self._stream["odometry"], rows, self._odometry, due.t_ns, values, due.t_ns))
         return jobs
 
-    def _smoothed_job(self, track: Track, row: int) -> "_Job":
-        stream, rows = len(self.topics) - 1, np.full(len(track), row)
-        return _Job(stream, rows, self._estimate, track.t_ns, np.concatenate([track.x, track.P], axis=1), track.t_ns)
+    def _beside_jobs(self, beside: Beside, row: int) -> list["_Job"]:
+        jobs: list[_Job] = []
+        if beside.smoothed is not None:
+            jobs.append(self._track_job("smoothed", beside.smoothed.take(moved(beside.smoothed)), row))
+        if beside.ticks is not None:
+            jobs.append(self._track_job("tick", beside.ticks, row))
+        if beside.settled is not None:
+            jobs.append(self._track_job("settled", self._settled_pace.due(beside.settled)[0], row))
+        return jobs + [_command_job(self._stream["command"], row, answer) for answer in beside.answers]
 
-    def _due(self, track: Track) -> tuple[Track, NDArray[np.int64]]:
+    def _track_job(self, name: str, track: Track | Ticked, row: int) -> "_Job":
+        """Estimates, all published after ``row``."""
+        rows, table = np.full(len(track.t_ns), row), np.concatenate([track.x, track.P], axis=1)
+        return _Job(self._stream[name], rows, self._estimate, track.t_ns, table, track.t_ns)
+
+
+class _Pace:
+    """Of the estimates in a period of event time the last, told when the first one after it is there."""
+
+    def __init__(self, rate: float | None) -> None:
+        """``rate`` in Hz; None for all estimates."""
+        self._rate = rate
+        self._waiting: Track | None = None  # the estimate that the next period publishes
+
+    def rest(self) -> list[Track]:
+        """The one that still waits, if any."""
+        waiting, self._waiting = self._waiting, None
+        return [] if waiting is None else [waiting]
+
+    def due(self, track: Track) -> tuple[Track, NDArray[np.int64]]:
         """The estimates to publish, and the row of the track at which each is published."""
         rows = moved(track)
-        rate = self._plan.config.output.rate
-        if rate is None or len(rows) == 0:
+        if self._rate is None or len(rows) == 0:
             return track if len(rows) == len(track) else track.take(rows), rows
         waiting = [] if self._waiting is None else [self._waiting]
         moments = np.concatenate([*(each.t_ns for each in waiting), track.t_ns[rows]])
-        period = moments // period_ns(rate)
+        period = moments // period_ns(self._rate)
         ends = np.flatnonzero(period[1:] != period[:-1]) - len(waiting)  # -1 is the one that waits
         due = track.take(rows[ends[ends >= 0]])
         self._waiting = track.take(rows[-1:])
@@ -125,6 +161,7 @@ class _Job:
     stamps: NDArray[np.int64]
     values: Floats
     times: NDArray[np.int64]  # for the log
+    asked: NDArray[np.int64] | None = None  # the time of publication, where that is another
 
 
 def _encode(jobs: Sequence[_Job]) -> Messages:
@@ -139,13 +176,14 @@ def _encode(jobs: Sequence[_Job]) -> Messages:
     stream = np.repeat(np.array([job.stream for job in jobs], np.int32), [len(job.rows) for job in jobs])
     order = np.lexsort((stream, np.concatenate([np.empty(0, np.int64), *(job.rows for job in jobs)])))
     times = np.concatenate([np.empty(0, np.int64), *(job.times for job in jobs)])[order]
+    asked = [job.times if job.asked is None else job.asked for job in jobs]
     return Messages(
         stream=stream[order],
         data=data,
         start=(np.cumsum(length) - length)[order],
         length=length[order],
         log_time=times,
-        publish_time=times,
+        publish_time=np.concatenate([np.empty(0, np.int64), *asked])[order],
         sequence=np.zeros(len(times), np.int64),
     )
 
@@ -183,6 +221,15 @@ def _decision_encoder(sensor: str, dof: int, frame: str) -> CdrEncoder:
         constants={"sensor": sensor, "header.frame_id": frame},
         lengths=dict.fromkeys(numbers, dof),
     )
+
+
+def _command_job(stream: int, row: int, answer: Answer) -> _Job:
+    kind, arguments = command_text(answer.command)
+    texts = {"kind": kind, "arguments": arguments, "reason": answer.reason}
+    accepted = {"accepted": float(answer.accepted)}
+    encoder = CdrEncoder(COMMAND, definition(COMMAND), columns=[], constants={**texts, **accepted})
+    stamp, after, asked = (np.array([t]) for t in (answer.t_ns or 0, answer.after_ns, answer.asked_ns))
+    return _Job(stream, np.array([row]), encoder, stamp, np.empty((1, 0)), after, asked)
 
 
 def _decision_values(track: Track, rows: NDArray[np.int64], dof: int) -> Floats:

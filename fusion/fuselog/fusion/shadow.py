@@ -1,12 +1,12 @@
 """What gains other than the optimal one cost, and what the innovations say of them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.engine import Engine, Estimate
-from fuselog.fusion.events import Events
 from fuselog.fusion.kernel.tables import Gain
 from fuselog.fusion.plan import Plan
 
@@ -18,19 +18,11 @@ class Shadow:
 
     def __init__(self, plan: Plan, *, window_ns: int | None = None) -> None:
         """``window_ns`` as ``Engine`` takes it."""
-        self._engine = Engine(plan, window_ns=window_ns, optimal=True)
-
-    def advance(self, events: Events) -> None:
-        """Follow the filter."""
-        self._engine.advance(events)
-
-    def place(self, rank: int, lever: NDArray[np.float64]) -> None:
-        """Say where a sensor is, as ``Engine.place``."""
-        self._engine.place(rank, lever)
+        self.engine = Engine(plan, window_ns=window_ns, optimal=True)
 
     def ratio(self, estimate: Estimate) -> float:
         """The variances of an estimate over those that the optimal gain would have, on average over the states."""
-        variances, least = np.diag(estimate.P), np.diag(self._engine.estimate.P)
+        variances, least = np.diag(estimate.P), np.diag(self.engine.estimate.P)
         known = estimate.known & (least > 0)
         return float(np.mean(variances[known] / least[known])) if known.any() else 1.0
 
@@ -59,9 +51,22 @@ def gain_health(plan: Plan, sensor: str, innovation: NDArray[np.float64]) -> Gai
     mismatch = None
     if lag is not None and np.linalg.cond(C0) < 1 / np.finfo(np.float64).eps:
         mismatch = float(np.linalg.norm(np.linalg.pinv(lag.seen) @ C1 @ np.linalg.inv(C0)))
-    correlation = np.divide(np.diag(C1), np.diag(C0), out=np.zeros(len(C0)), where=np.diag(C0) > 0)
     return GainHealth(
-        correlation=dict(zip(names, correlation.tolist(), strict=True)),
+        correlation=_correlation(names, np.diag(C0), np.diag(C1)),
         expected=None if lag is None else dict(zip(names, lag.correlation.tolist(), strict=True)),
         mismatch=mismatch,
     )
+
+
+def correlation_health(
+    names: Sequence[str], n: int, power: NDArray[np.float64], lagged: NDArray[np.float64]
+) -> GainHealth | None:
+    """The same where nothing is expected, from sums over n innovations: of squares, and of each with the one before."""
+    if n < _FEWEST:
+        return None
+    return GainHealth(correlation=_correlation(names, power, lagged), expected=None, mismatch=None)
+
+
+def _correlation(names: Sequence[str], power: NDArray[np.float64], lagged: NDArray[np.float64]) -> dict[str, float]:
+    correlation = np.divide(lagged, power, out=np.zeros(len(power)), where=power > 0)
+    return dict(zip(names, correlation.tolist(), strict=True))

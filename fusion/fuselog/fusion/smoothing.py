@@ -1,5 +1,6 @@
 """Smoothing: estimates that know what came after them, of a whole log (fixed interval) or some seconds (fixed lag)."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -7,11 +8,14 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.engine import Snapshot, make_samples, make_track
 from fuselog.fusion.events import Events, blank_events
+from fuselog.fusion.kept import check_end, load_history, save_history, take_into
 from fuselog.fusion.kernel.fields import call
-from fuselog.fusion.kernel.memory import begin_history, blank_rows, empty_history, move_history, rest_input, scratch
+from fuselog.fusion.kernel.memory import blank_rows, empty_history, move_history, scratch
 from fuselog.fusion.kernel.tables import NEVER, Care, Gain, History, Rows
 from fuselog.fusion.kernel.trail import Visits, begin_trail
+from fuselog.fusion.newest import begin, carry_over, newest_alone, put_states
 from fuselog.fusion.plan import Plan
+from fuselog.fusion.sealed import Tree
 from fuselog.fusion.track import Track, join_tracks, moved, period_ns
 
 _PIECE = 1024  # events that fixed-lag smoothing takes at a time
@@ -101,6 +105,43 @@ class FixedLag:
         """Say where a sensor is (m, body axes), before any of its samples are applied."""
         self._passes.sensor[rank * 7 : rank * 7 + 3] = lever
 
+    def settle(self) -> None:
+        """Smooth nothing from before this any more: the newest state has all that is known."""
+        self._passes.begin_with(newest_alone(self._passes.plan, self._passes.history, _ROOM))
+
+    def reset(self) -> None:
+        """Begin anew; sensors stay where they are."""
+        self._passes.begin_with(begin(self._passes.plan, _ROOM))
+        self._tick = NEVER
+
+    def put(self, state: Mapping[str, float], sd: Mapping[str, float]) -> None:
+        """Set states of the newest estimate (``put_states``), after ``settle``."""
+        put_states(self._passes.plan, self._passes.history, state, sd)
+
+    def configure(self, plan: Plan) -> None:
+        """Go on with the newest state under another plan of the same states and sensors."""
+        before, after = self._passes, _Passes(plan)
+        after.sensor[:] = before.sensor
+        after.begin_with(carry_over(before.plan, after.plan, before.history, _ROOM))
+        self._passes = after
+
+    def save(self) -> Tree:
+        """What ``load`` takes."""
+        passes, history = self._passes, self._passes.history
+        first = passes.oldest(self._tick)
+        kept = save_history(history, passes.plan.tables, first, first + 1)
+        return {"tick": self._tick, "places": passes.sensor, **kept}
+
+    def load(self, tree: Tree) -> None:
+        """Become what a smoother with the same plan was; raises what ``load_history`` and ``check_end`` do."""
+        passes = self._passes
+        take_into(passes.sensor, tree["places"])
+        history, samples = load_history(passes.plan.kernel, passes.plan.tables, tree, _ROOM)
+        passes.begin_with(history)
+        passes.forth(samples)
+        check_end(passes.history, tree)
+        self._tick = int(tree["tick"])
+
     def warm_up(self) -> None:
         """Compile, or load from the cache, what the first event and the first estimate would have to wait for."""
         self._passes.forth(blank_events(0, self._passes.plan.tables.M))
@@ -138,8 +179,7 @@ class _Passes:
         self._tables = self.plan.tables._replace(sensor=self.sensor, window_ns=0)
         self._work = scratch(self._kernel, plan.tables)
         self._trail = begin_trail(self._kernel, plan.tables.M, _ROOM)
-        u = rest_input(list(plan.card.rest.values()))
-        self.history: History = begin_history(self._kernel, plan.tables, _ROOM, plan.x, plan.P, plan.known, u)
+        self.history: History = begin(plan, _ROOM)
 
     @property
     def stamps(self) -> Ints:
@@ -153,12 +193,21 @@ class _Passes:
         self._reserve(tail + 1 - head + n)
         move_history(snapshot.history, head, self.history)
 
+    def begin_with(self, history: History) -> None:
+        """Go on from a history of one entry."""
+        self.history = history
+        self._trail = begin_trail(self._kernel, self.plan.tables.M, history.capacity)
+
+    def oldest(self, t_ns: int) -> int:
+        """The last entry up to a time: what is before it is not needed for what is after that time."""
+        return max(int(np.searchsorted(self.stamps, t_ns, side="right")) - 1, 0)
+
     def make_room(self, oldest: int, n: int) -> None:
         """Where n more entries do not fit, let go of those before the last one up to ``oldest``, or grow."""
         size = int(self.history.cursor[1]) + 1
         if size + n <= self.history.capacity:
             return
-        first = max(int(np.searchsorted(self.stamps, oldest, side="right")) - 1, 0)
+        first = self.oldest(oldest)
         history, trail = self.history, self._trail
         self._reserve(2 * (size - first + n), afresh=True)
         move_history(history, first, self.history)

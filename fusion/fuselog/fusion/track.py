@@ -26,6 +26,7 @@ class Track:
     sensor: NDArray[np.int64]  # (n,) rank
     seq: NDArray[np.int64]  # (n,) how many samples of that sensor came before
     decision: NDArray[np.uint8]  # (n,) of Decision
+    z: NDArray[np.float64]  # (n, M + 3) what was measured, and what came with it; 0 where nothing could be read
     nis: NDArray[np.float64]  # (n,) NaN where the sample was not tried
     dof: NDArray[np.int64]  # (n,)
     x: NDArray[np.float64]  # (n, N) NaN for a state that waits for its first measurement

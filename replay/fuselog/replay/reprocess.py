@@ -5,15 +5,16 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from fuselog.fusion import Filter, Order, Outputs, Plan, Stream, Track, join_tracks, load_plan
-from fuselog.fusion.intake import Taken
+from fuselog.fusion import Beside, Filter, Order, Outputs, Plan, Stream, Track, join_tracks, load_plan
+from fuselog.fusion.preparation import Prepared
 from fuselog.fusion.report import estimate_json, ledger_json
 from fuselog.replay.ahead import ahead
+from fuselog.replay.commanded import Commanded
 from fuselog.replay.log import Log
 from fuselog.replay.log.channels import Channel
 from fuselog.replay.log.loss import Loss
@@ -41,6 +42,8 @@ class Summary:
     sha256: str
     smoothed: bool
     losses: list[Loss]
+    followed: int = 0  # commands that the log has
+    passed_over: list[str] = field(default_factory=list[str])  # why each of the others was not followed
 
     @property
     def lossy(self) -> bool:
@@ -58,6 +61,11 @@ class Summary:
             "final": self.final,
             "sha256": self.sha256,
             "smoothed": self.smoothed,
+            "commands": {
+                "followed": self.followed,
+                "not_followed": len(self.passed_over),
+                "reasons": list(dict.fromkeys(self.passed_over)),
+            },
             "losses": [asdict(loss) for loss in self.losses],
         }
 
@@ -80,25 +88,25 @@ def reprocess(
     return join_tracks([track for _, track in run(log, Filter(plan, order=order or plan.config.lag.order))])
 
 
-def run(log: Log, filter: Filter) -> Iterator[tuple[int, Track]]:
+def run(log: Log, filter: Filter, commanded: Commanded | None = None) -> Iterator[tuple[int, Track]]:
     """Feed a log to a filter, a chunk at a time; yields (messages fed, rows), the held rows at the end."""
-    for fed, taken in _prepared(log, filter):
+    for fed, taken in _prepared(log, filter, commanded):
         yield fed, filter.apply(taken)
     yield 0, filter.finish()
 
 
-def _prepared(log: Log, filter: Filter) -> Iterator[tuple[int, Taken]]:
+def _prepared(log: Log, filter: Filter, commanded: Commanded | None = None) -> Iterator[tuple[int, Prepared]]:
     """A log ready to be applied: (messages taken, what they gave).
 
     Reading and preparing go on in a thread, ahead of the estimate.
     """
-    inputs = open_inputs(log, filter)
+    commanded = commanded or Commanded(log, filter)
+    topics = open_inputs(log, filter) | commanded.topics
 
-    def batches() -> Iterator[tuple[int, Taken]]:
-        for messages in log.batches(inputs):
+    def batches() -> Iterator[tuple[int, Prepared]]:
+        for messages in log.batches(topics):
             for first in range(0, len(messages), _BATCH):
-                batch = messages.take(slice(first, first + _BATCH))
-                yield len(batch), filter.prepare(batch)
+                yield from commanded.prepare(messages.take(slice(first, first + _BATCH)))
 
     return ahead(batches(), _AHEAD)
 
@@ -109,16 +117,17 @@ def reprocess_to(
     """Run a log through a filter and write its tracks as an MCAP log; memory is bounded by a chunk of either."""
     order = order or plan.config.lag.order
     filter, fed = Filter(plan, order=order), list[int]()
+    commanded = Commanded(log, filter)
     first, last = log.time_range or (0, 0)
 
     def tracks() -> Iterator[Track]:
-        for count, track in run(log, filter):
+        for count, track in run(log, filter, commanded):
             fed.append(count)
             yield track
             if advance is not None and len(track):
                 advance(float(track.arrival_ns[-1] - first), float(max(last - first, 1)))
 
-    return _write(log, filter, tracks(), fed, output, {"order": order})
+    return _write(log, filter, tracks(), fed, output, {"order": order}, commanded)
 
 
 def smooth_to(
@@ -130,14 +139,15 @@ def smooth_to(
     by default the system's folder for temporary files; raises ``SpillError`` where that cannot be done.
     """
     filter, fed = Filter(smoothing_plan(plan), order="by_stamp"), list[int]()
+    commanded = Commanded(log, filter)
     first, last = log.time_range or (0, 0)
 
     def report(share: float) -> None:
         if advance is not None:
             advance(share, 2.0)
 
-    def batches() -> Iterator[Taken]:
-        for count, taken in _prepared(log, filter):
+    def batches() -> Iterator[Prepared]:
+        for count, taken in _prepared(log, filter, commanded):
             fed.append(count)
             yield taken
             if taken.events.size:
@@ -145,17 +155,24 @@ def smooth_to(
 
     rate = plan.config.output.rate
     tracks = smoothed(batches(), filter, rate=rate, spill=spill, report=lambda share: report(1.0 + share))
-    return _write(log, filter, tracks, fed, output, {"order": "by_stamp", "smoothed": "true", "gain": "optimal"})
+    made = {"order": "by_stamp", "smoothed": "true", "gain": "optimal"}
+    return _write(log, filter, tracks, fed, output, made, commanded)
 
 
 def _write(
-    log: Log, filter: Filter, tracks: Iterator[Track], fed: list[int], output: str | Path | None, made: dict[str, str]
+    log: Log,
+    filter: Filter,
+    tracks: Iterator[Track],
+    fed: list[int],
+    output: str | Path | None,
+    made: dict[str, str],
+    commanded: Commanded,
 ) -> Summary:
     """Write the tracks of a filter, and how they were ``made``; ``fed`` counts the messages of each batch."""
     started = time.perf_counter()
     with _Sink(filter.plan, output) as sink:
         for track in tracks:
-            sink.take(track, filter.smoothed())
+            sink.take(track, filter.beside())
         digest = sink.finish(made, filter)
     return Summary(
         output=None if output is None else str(output),
@@ -166,6 +183,8 @@ def _write(
         sha256=digest,
         smoothed="smoothed" in made,
         losses=list(log.losses),
+        followed=commanded.followed,
+        passed_over=commanded.passed_over,
     )
 
 
@@ -190,9 +209,9 @@ class _Sink:
         if self._writer is not None:
             self._writer.__exit__(kind, error, trace)
 
-    def take(self, track: Track, smoothed: Track | None) -> None:
+    def take(self, track: Track, beside: Beside) -> None:
         """Hand over the next rows; waits while too much is under way. Raises what writing earlier ones raised."""
-        self._under_way.append(self._thread.submit(lambda: self._put(self._outputs.encode(track, smoothed))))
+        self._under_way.append(self._thread.submit(lambda: self._put(self._outputs.encode(track, beside))))
         while len(self._under_way) > _UNDER_WAY:
             self._under_way.popleft().result()
 

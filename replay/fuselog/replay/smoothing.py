@@ -12,8 +12,8 @@ import numpy as np
 
 from fuselog.fusion import Events, Filter, FixedInterval, Plan, Snapshot, Track, with_optimal_gain
 from fuselog.fusion.events import join
-from fuselog.fusion.intake import Taken
 from fuselog.fusion.kernel.tables import History
+from fuselog.fusion.preparation import Prepared
 from fuselog.replay.stack import Array, Stack
 
 SEGMENT = 1024  # events; what the backward pass has in memory
@@ -25,13 +25,14 @@ Report = Callable[[float], None]  # takes the share that is done
 
 
 def smoothing_plan(plan: Plan) -> Plan:
-    """The plan of the forward pass: the optimal gain, and no fixed-lag smoothing beside it."""
-    config = plan.config.model_copy(update={"smooth": None})
+    """The plan of the forward pass: the optimal gain, and nothing beside it."""
+    output = plan.config.output.model_copy(update={"ticks": None, "settled": False})
+    config = plan.config.model_copy(update={"smooth": None, "output": output})
     return with_optimal_gain(replace(plan, config=config))
 
 
 def smoothed(
-    batches: Iterable[Taken],
+    batches: Iterable[Prepared],
     filter: Filter,
     *,
     rate: float | None = None,
@@ -58,26 +59,26 @@ def smoothed(
             yield _track(rows.pop(), filter.plan)
 
 
-def _to_the_end(batches: Iterable[Taken], filter: Filter) -> Iterator[Taken]:
+def _to_the_end(batches: Iterable[Prepared], filter: Filter) -> Iterator[Prepared]:
     yield from batches
     yield filter.rest()
 
 
-def _segments(batches: Iterable[Taken], size: int) -> Iterator[Taken]:
+def _segments(batches: Iterable[Prepared], size: int) -> Iterator[Prepared]:
     """The same events in pieces of ``size``; a sensor is placed between two of them, by a piece without events."""
     held: list[Events] = []
     for taken in batches:
         if taken.levers:
-            yield from (Taken(events, {}) for events in held)
+            yield from (Prepared(events, {}) for events in held)
             held = []
             yield taken._replace(events=taken.events.take(slice(0, 0)))
         held.append(taken.events)
         if sum(events.size for events in held) >= size:
             events, whole = join(held), sum(events.size for events in held) // size * size
-            yield from (Taken(events.take(slice(first, first + size)), {}) for first in range(0, whole, size))
+            yield from (Prepared(events.take(slice(first, first + size)), {}) for first in range(0, whole, size))
             held = [events.take(slice(whole, None))]
     if held:
-        yield Taken(join(held), {})
+        yield Prepared(join(held), {})
 
 
 def _arrays(snapshot: Snapshot, events: Events) -> list[Array]:

@@ -15,7 +15,7 @@ from fuselog.replay.mcap_file.writer import LogWriter
 from fuselog.schemas import Messages
 
 _MARK = {"fuselog": "output"}  # in the metadata of a channel
-_OUTPUTS = {f"fuselog_msgs/msg/{name}" for name in ("Estimate", "Decision", "Health")}
+_OUTPUTS = {f"fuselog_msgs/msg/{name}" for name in ("Estimate", "Decision", "Health", "Command")}
 
 
 def is_output(channel: Channel) -> bool:

@@ -1,6 +1,7 @@
 """The message definitions that come with fuselog, as the texts that logs embed."""
 
 from difflib import get_close_matches
+from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 
@@ -10,6 +11,7 @@ from fuselog.schemas.ros2msg import short_name, types_used
 _SEPARATOR = "=" * 80
 
 
+@cache
 def definition(name: str) -> str:
     """The text of ``pkg/msg/Type`` with all definitions it needs, in MCAP's ``ros2msg`` convention.
 
@@ -24,6 +26,7 @@ def definition(name: str) -> str:
     return first[1] + "".join(f"{_SEPARATOR}\nMSG: {other}\n{text}" for other, text in others)
 
 
+@cache
 def known_definitions() -> tuple[str, ...]:
     """The types that ``definition`` knows, ``pkg/msg/Type``, sorted."""
     packages = (package for package in _folder().iterdir() if package.is_dir())

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba.core import types
+from numba.core.cgutils import raw_memcpy
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -74,5 +75,46 @@ load = cast(_Load, intrinsic(_load))
 
 Any alignment; byte-swapped when ``swapped``. Nothing is checked: the caller has looked at the bounds.
 """
+
+
+class _Store(Protocol):
+    def __call__(self, data: NDArray[np.uint8], at: int, value: float, dtype: type[np.generic], /) -> None: ...
+
+
+def _store(_context: Any, data: Any, at: Any, value: Any, dtype: Any) -> Any:  # noqa: ARG001  types only
+    scalar = dtype.dtype
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        word = ir.IntType(scalar.bitwidth)
+        raw = builder.bitcast(context.cast(builder, arguments[2], signature.args[2], scalar), word)
+        builder.store(raw, builder.bitcast(builder.gep(array.data, [arguments[1]]), word.as_pointer()), align=1)
+        return context.get_dummy_value()
+
+    return types.void(data, types.int64, value, dtype), generate
+
+
+store = cast(_Store, intrinsic(_store))
+"""Inside kernels: ``store(data, at, value, np.float32)`` writes a scalar to the bytes from ``data[at]``, unchecked."""
+
+
+class _Copy(Protocol):
+    def __call__(self, data: NDArray[np.uint8], at: int, source: NDArray[Any], first: int, count: int, /) -> None: ...
+
+
+def _copy(_context: Any, data: Any, at: Any, source: Any, first: Any, count: Any) -> Any:  # noqa: ARG001  types only
+    width = source.dtype.bitwidth // 8
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        to, taken = (context.make_array(signature.args[i])(context, builder, arguments[i]).data for i in (0, 2))
+        size = builder.mul(arguments[4], ir.Constant(ir.IntType(64), width))
+        raw_memcpy(builder, builder.gep(to, [arguments[1]]), builder.gep(taken, [arguments[3]]), size, 1)
+        return context.get_dummy_value()
+
+    return types.void(data, types.int64, source, types.int64, types.int64), generate
+
+
+copy = cast(_Copy, intrinsic(_copy))
+"""Inside kernels: the bytes of ``source[first : first + count]``, a flat array, from ``data[at]`` on, unchecked."""
 
 HOST_IS_BIG_ENDIAN = sys.byteorder == "big"

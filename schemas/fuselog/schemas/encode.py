@@ -1,4 +1,4 @@
-"""Columns into CDR messages that differ only in their numbers: one template, and one view per column."""
+"""Columns into CDR messages that differ only in their numbers: one template, and a place for each column."""
 
 import struct
 from collections.abc import Mapping, Sequence
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from fuselog.schemas.errors import SchemaError
 from fuselog.schemas.paths import Path, find_node, join_path, split_path, stamp_leaves
 from fuselog.schemas.ros2msg import parse_ros2msg
-from fuselog.schemas.tree import KINDS, Array, Node, Number, Record, Text
+from fuselog.schemas.tree import KINDS, Array, Node, Number, Record, Text, dtype_of
+from fuselog.schemas.write import WRITTEN, write_messages
 
 _T = TypeVar("_T", int, str)
 _HEADER: Final = b"\x00\x01\x00\x00"  # CDR, little endian
-_LETTERS: Final = "uifb"  # numpy's, by the lowest two bits of a kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,12 @@ class _Slot:
     """Where a number lies in the template, and how it is stored."""
 
     offset: int
-    dtype: "np.dtype[np.generic]"
+    kind: str  # of ``KINDS``
+
+    @property
+    def dtype(self) -> "np.dtype[np.generic]":
+        """Little endian."""
+        return dtype_of(self.kind).newbyteorder("<")
 
 
 class CdrEncoder:
@@ -54,13 +59,14 @@ class CdrEncoder:
         self.size = len(layout.template)
         self._schema = schema_name
         self._template = np.frombuffer(bytes(layout.template), np.uint8)
+        self._kinds = [slot.kind for _, slot in slots]
         self._runs = _runs([slot for _, slot in slots])
-        self._stamp: list[tuple[_Slot, int]] = []
+        self._stamp, self._stamp_kind = np.empty((0, 3), np.int64), ""
         if stamp is not None:
             leaves = stamp_leaves(schema_name, root, split_path(schema_name, stamp))
-            self._stamp = [(layout.numbers(join_path(path))[0][1], scale) for path, scale in leaves]
-        varying = [slot for _, slot in slots] + [slot for slot, _ in self._stamp]
-        self._fixed = _gaps([(slot.offset, slot.offset + slot.dtype.itemsize) for slot in varying], self.size)
+            parts = [(layout.numbers(join_path(path))[0][1], scale) for path, scale in leaves]
+            self._stamp = np.array([(slot.offset, KINDS[slot.kind], scale) for slot, scale in parts], np.int64)
+            self._stamp_kind = parts[0][0].kind
 
     def encode(
         self, t_ns: NDArray[np.int64], values: NDArray[np.float64], *, out: NDArray[np.uint8] | None = None
@@ -73,23 +79,13 @@ class CdrEncoder:
         n = len(t_ns)
         if values.shape != (n, len(self.paths)):
             raise ValueError(f"values are {values.shape}, not {(n, len(self.paths))}")
-        data = (np.empty(n * self.size, np.uint8) if out is None else out).reshape(n, self.size)
-        for first, last in self._fixed:
-            data[:, first:last] = self._template[first:last]
-        rest = t_ns
-        for slot, scale in self._stamp:
-            whole, rest = np.divmod(rest, scale) if scale > 1 else (rest, rest)
-            self._store(data, slot, whole[:, np.newaxis], "stamp")
-        for first, last, slot in self._runs:
-            self._store(data, slot, values[:, first:last], self.paths[first])
-        return data.reshape(-1), self.size
-
-    def _store(self, data: NDArray[np.uint8], slot: _Slot, values: NDArray[np.number], path: str) -> None:
-        view = data[:, slot.offset : slot.offset + values.shape[1] * slot.dtype.itemsize].view(slot.dtype)
-        if not _holds(slot.dtype, values):
-            raise SchemaError(self._schema, f"{path} has values that {slot.dtype.name} cannot hold")
-        with np.errstate(over="ignore"):  # a float32 of 1e300 is inf
-            view[...] = values
+        data = np.empty(n * self.size, np.uint8) if out is None else out
+        columns = np.ascontiguousarray(t_ns, np.int64), np.ascontiguousarray(values, np.float64)
+        refused = write_messages(data, self._template, *columns, self._runs, self._stamp)
+        if refused != WRITTEN:
+            path, kind = (self.paths[refused], self._kinds[refused]) if refused >= 0 else ("stamp", self._stamp_kind)
+            raise SchemaError(self._schema, f"{path} has values that {dtype_of(kind).name} cannot hold")
+        return data, self.size
 
 
 def _holds(dtype: "np.dtype[np.generic]", values: NDArray[np.number]) -> bool:
@@ -103,20 +99,15 @@ def _holds(dtype: "np.dtype[np.generic]", values: NDArray[np.number]) -> bool:
     return bool(inside and (values.dtype.kind in "iu" or np.array_equal(np.rint(values), values)))
 
 
-def _gaps(taken: list[tuple[int, int]], size: int) -> list[tuple[int, int]]:
-    """The stretches (first, last) of ``size`` bytes that are not taken."""
-    edges = [(0, 0), *sorted(taken), (size, size)]
-    return [(before, after) for (_, before), (after, _) in pairwise(edges) if before < after]
-
-
-def _runs(slots: list[_Slot]) -> list[tuple[int, int, _Slot]]:
-    """Columns (first, last) that lie one after another and are stored alike, with the slot of the first."""
+def _runs(slots: list[_Slot]) -> NDArray[np.int64]:
+    """(runs, 4): columns first to last - 1 that lie one after another from an offset on, stored as one kind."""
     breaks = [0]
     for column, (before, after) in enumerate(pairwise(slots), start=1):
-        if (after.dtype, after.offset) != (before.dtype, before.offset + before.dtype.itemsize):
+        if (after.kind, after.offset) != (before.kind, before.offset + before.dtype.itemsize):
             breaks.append(column)
     ends = [*breaks[1:], len(slots)]
-    return [(first, last, slots[first]) for first, last in zip(breaks, ends, strict=True) if first < last]
+    runs = [(a, b, slots[a].offset, KINDS[slots[a].kind]) for a, b in zip(breaks, ends, strict=True) if a < b]
+    return np.array(runs, np.int64).reshape(-1, 4)
 
 
 class _Layout:
@@ -157,11 +148,10 @@ class _Layout:
     def _write(self, path: Path, node: Node) -> None:
         match node:
             case Number(kind):
-                code = KINDS[kind]
-                dtype = np.dtype(f"<{_LETTERS[code % 4]}{1 << code // 4}")
-                self._align(dtype.itemsize)
-                self.slots[path] = _Slot(len(self.template), dtype)
-                self.template += bytes(dtype.itemsize)
+                size = dtype_of(kind).itemsize
+                self._align(size)
+                self.slots[path] = _Slot(len(self.template), kind)
+                self.template += bytes(size)
             case Text(wide):
                 self._write_text(self._given(self._strings, path, ""), wide)
             case Record(_, fields):

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, NamedTuple
 
 from fuselog.schemas.errors import SchemaError
 from fuselog.schemas.tree import KINDS, Array, Node, Number, Record, Text
@@ -21,6 +21,54 @@ _STRINGS: Final = ("string", "wstring")
 _MOST_ELEMENTS: Final = 2**31
 _MOST_NESTED: Final = 64
 _MOST_FIELDS: Final = 100_000
+
+
+class Field(NamedTuple):
+    """A field as it is written: a primitive or ``pkg/msg/Type``, and in digits what bounds its text and its length.
+
+    ``length`` is None for one value, empty for as many as come; with ``upto`` it is the most that may come.
+    """
+
+    name: str
+    type: str
+    bound: str
+    length: str | None
+    upto: bool
+
+
+def fields_by_type(schema_name: str, schema_text: str) -> dict[str, list[Field]]:
+    """The fields of ``schema_name`` and of every type that it needs, by ``pkg/msg/Type``, the first one first.
+
+    Raises SchemaError as ``parse_ros2msg`` does.
+    """
+    parse_ros2msg(schema_name, schema_text)
+    texts = _split(short_name(schema_name), schema_text)
+    found: dict[str, list[Field]] = {}
+    waiting = [short_name(schema_name)]
+    while waiting:
+        name = waiting.pop()
+        if _full_name(name) in found:
+            continue
+        found[_full_name(name)] = [_field(name, match) for match in _fields(schema_name, name, texts[name])] or [
+            _NOTHING
+        ]
+        waiting += types_used(name, texts[name])
+    return found
+
+
+_NOTHING: Final = Field("structure_needs_at_least_one_member", "uint8", "", None, upto=False)
+
+
+def _field(owner: str, match: re.Match[str]) -> Field:
+    kind = match["type"]
+    plain = kind in KINDS or kind in _STRINGS
+    written = kind if plain else _full_name(_qualified(owner, kind))
+    return Field(match["name"], written, match["bound"] or "", match["length"], upto=bool(match["upto"]))
+
+
+def _full_name(name: str) -> str:
+    """``pkg/msg/Type`` of ``pkg/Type``."""
+    return "/msg/".join(name.split("/"))
 
 
 def parse_ros2msg(schema_name: str, schema_text: str) -> Record:

@@ -24,6 +24,7 @@ COMMANDS = (
     "play",
     "record",
     "serve",
+    "verify",
     "token",
     "evaluate",
     "tune",

@@ -28,20 +28,37 @@ class Announced(NamedTuple):
     is_output: bool
 
 
-def tell(session: zenoh.Session, streams: Mapping[str, Iterable[Stream]], *, outputs: bool = False) -> None:
-    """Answer everyone who asks what is published under a key of ``streams``, as long as the session lives.
+class Announcements:
+    """Answers everyone who asks what is published under the keys that were added, as long as the session lives.
 
     ``outputs``: they hold results of a filter.
     """
-    texts = {
-        f"{_ABOUT}/{key}": orjson.dumps([asdict(s) | {"output": outputs} for s in several])
-        for key, several in streams.items()
-    }
 
-    def about(query: zenoh.Query) -> dict[str, bytes]:
-        return {key: text for key, text in texts.items() if query.key_expr.intersects(key)}
+    def __init__(self, session: zenoh.Session, *, outputs: bool = False) -> None:
+        self._outputs = outputs
+        self._texts: dict[str, bytes] = {}
+        answer(session, f"{_ABOUT}/**", self._about)
 
-    answer(session, f"{_ABOUT}/**", about)
+    def add(self, streams: Mapping[str, Iterable[Stream]]) -> None:
+        """Tell of the streams of these keys from now on."""
+        texts = {
+            f"{_ABOUT}/{key}": orjson.dumps([asdict(s) | {"output": self._outputs} for s in several])
+            for key, several in streams.items()
+        }
+        self._texts = self._texts | texts  # replaced, for queries are answered on another thread
+
+    def forget(self, keys: Iterable[str]) -> None:
+        """Tell of them no more."""
+        gone = {f"{_ABOUT}/{key}" for key in keys}
+        self._texts = {key: text for key, text in self._texts.items() if key not in gone}
+
+    def _about(self, query: zenoh.Query) -> dict[str, bytes]:
+        return {key: text for key, text in self._texts.items() if query.key_expr.intersects(key)}
+
+
+def tell(session: zenoh.Session, streams: Mapping[str, Iterable[Stream]], *, outputs: bool = False) -> None:
+    """Tell of these streams."""
+    Announcements(session, outputs=outputs).add(streams)
 
 
 def learn(session: zenoh.Session, key: str) -> list[Stream]:

@@ -2,10 +2,23 @@
 
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 
+import ctypes
+import json
+import re
+import threading
 from collections.abc import Callable
-from typing import Protocol, cast
+from typing import Any, Final, Protocol, TypeVar, cast
 
 import zenoh
+from zenoh import ext
+
+from fuselog.service.backlog import Backlog
+
+_HEARTBEAT_S: Final = 0.5  # in which a subscriber learns that it missed the last samples
+_SOURCE_PLACE: Final = re.compile(r"\s*at /\S+\.rs:\d+\.?")
+_JSON_ERROR: Final = re.compile(r"msg: \"(?P<reason>.*)\", location: Some\(Location (?P<place>\{.*?\})")
+
+_T = TypeVar("_T")
 
 
 class _Matching(Protocol):
@@ -13,31 +26,107 @@ class _Matching(Protocol):
 
 
 class Publisher:
-    """Publishes on one key, reliably; waits while a subscriber is slow, for 5 s at most by Zenoh's own rule."""
+    """Publishes on one key, reliably; waits while a subscriber is slow, for 5 s at most by Zenoh's own rule.
 
-    def __init__(self, session: zenoh.Session, key: str, media: str) -> None:
+    With a ``cache`` the last samples are kept, so many: subscribers that ask for it (``subscribe_reliably``) are told
+    twice a second what the last one was, and get what they missed, or what was published before they came.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str, media: str, *, cache: int = 0) -> None:
         self.key = key
-        self._publisher = session.declare_publisher(
-            key,
-            encoding=media,
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            reliability=zenoh.Reliability.RELIABLE,
+        self._keeps = cache > 0
+        quality: dict[str, Any] = {
+            "encoding": media,
+            "congestion_control": zenoh.CongestionControl.BLOCK,
+            "reliability": zenoh.Reliability.RELIABLE,
+        }
+        self._publisher = (
+            ext.declare_advanced_publisher(
+                session,
+                key,
+                cache=ext.CacheConfig(cache),
+                sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S),
+                publisher_detection=True,
+                **quality,
+            )
+            if self._keeps
+            else session.declare_publisher(key, **quality)
         )
 
     @property
     def wanted(self) -> bool:
-        """Whether anybody subscribes."""
+        """Whether anybody subscribes, or may ask later."""
+        if isinstance(self._publisher, ext.AdvancedPublisher):
+            return True
         return cast(_Matching, self._publisher.matching_status).matching  # an object that is true in any case
 
     def put(self, payload: bytes, attachment: bytes) -> None:
         """Publish a sample."""
         self._publisher.put(payload, attachment=attachment)
 
+    def close(self) -> None:
+        """Publish no more."""
+        self._publisher.undeclare()
+
 
 def subscribe(session: zenoh.Session, key: str, put: Callable[[zenoh.Sample], None]) -> Callable[[], None]:
     """Have ``put`` called on the network thread for each sample of others; returns what ends it."""
-    callback = zenoh.handlers.Callback(put, indirect=False)
-    return session.declare_subscriber(key, callback, allowed_origin=zenoh.Locality.REMOTE).undeclare
+    return session.declare_subscriber(key, _on_network_thread(put), allowed_origin=zenoh.Locality.REMOTE).undeclare
+
+
+def subscribe_reliably(
+    session: zenoh.Session,
+    key: str,
+    put: Callable[[zenoh.Sample], None],
+    *,
+    missed: Callable[[str, int], None],
+) -> Callable[[], None]:
+    """The same, and what publishers with a cache published before, or what got lost on the way, is asked for.
+
+    The samples of a publisher come in its order: those after a gap wait for the answer. ``missed`` is told a publisher
+    and how many of its samples nobody has any more. Other publishers are heard as by ``subscribe``. Neither function
+    may call Zenoh. Returns when the past of all who are there has been put: 5 s at most. What is returned must be
+    called before the session is closed, and not from either function.
+    """
+    backlog = Backlog(session, key, put)
+    subscriber = ext.declare_advanced_subscriber(
+        session,
+        key,
+        _on_network_thread(backlog.take),
+        allowed_origin=zenoh.Locality.REMOTE,
+        recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+    )
+    publishers = subscriber.detect_publishers(_on_network_thread(backlog.appear))
+
+    def tell(miss: ext.Miss) -> None:
+        missed(f"{miss.source.zid}/{miss.source.eid}", miss.nb)
+
+    misses = subscriber.sample_miss_listener(_on_network_thread(tell))
+    backlog.start()
+
+    def end() -> None:
+        misses.undeclare()
+        publishers.undeclare()
+        subscriber.undeclare()
+
+    return end
+
+
+def _on_network_thread(put: Callable[[_T], None]) -> "zenoh.handlers.Callback[_T]":
+    """A handler that calls ``put`` at once, on the thread that read the sample.
+
+    Such a thread is none of Python's, so each call would make a state of the interpreter for it and throw it away,
+    which costs several times what ``put`` does. Held once more than it is released, the state stays with the thread.
+    """
+    here = threading.local()
+
+    def call(item: _T) -> None:
+        if not hasattr(here, "held"):
+            ctypes.pythonapi.PyGILState_Ensure()
+            here.held = True
+        put(item)
+
+    return zenoh.handlers.Callback(call, indirect=False)
 
 
 def answer(session: zenoh.Session, key: str, reply: Callable[[zenoh.Query], dict[str, bytes]]) -> Callable[[], None]:
@@ -97,3 +186,19 @@ def configuration(values: dict[str, str]) -> zenoh.Config:
     for path, text in values.items():
         config.insert_json5(path, text)
     return config
+
+
+def read_value(path: str, text: str) -> Any:
+    """What a JSON5 text says at a path of a configuration, with defaults; raises ``zenoh.ZError``."""
+    return json.loads(configuration({path: text}).get_json(path))
+
+
+def reason_of(error: zenoh.ZError) -> str:
+    """What Zenoh says in an error, without the places of its source code."""
+    text = _SOURCE_PLACE.sub("", str(error)).strip()
+    found = _JSON_ERROR.search(text)
+    if found is not None:
+        line, column = re.findall(r"\d+", found["place"])
+        reason = found["reason"].replace('\\"', '"').rpartition("\\n")[2].lstrip(" =")
+        return f"{reason} (line {line}, column {column})"
+    return text.removeprefix('Str("').removesuffix('")')

@@ -276,7 +276,11 @@ class SensorSettings(Settings):
     """One stream of samples and what of it is fused."""
 
     topic: str = Field(min_length=1)
+    enabled: bool = Field(True, description="false: its samples are counted as disabled, and not used")
     type: str | None = Field(None, description="message type; by default as the log or the publisher says")
+    reliable: bool = Field(
+        False, description="live: ask publishers that keep their samples for those missed, and for those before us"
+    )
     kind: Literal[
         "state", "linear", "polar", "beacon_range", "magnetometer", "pressure", "constant", "zero_velocity", "input"
     ] = "state"
@@ -287,6 +291,7 @@ class SensorSettings(Settings):
     variance: dict[str, str] = Field(default_factory=dict, description="name: path of its variance in the message")
     covariance: str | None = Field(None, description="path of a square covariance of the numbers, in their order")
     stamp: str | None = Field(None, description="path of the stamp; found by itself as a rule")
+    rate: Positive | None = Field(None, description="Hz at which samples are expected; health says when it is another")
     noise: dict[str, Positive] = Field(
         default_factory=dict, description="sd in place of the message's; of an input: per root hertz"
     )
@@ -330,6 +335,10 @@ class OutputSettings(Settings):
     frame: str = "odom"
     child: str = "base_link"
     rate: Positive | None = Field(None, description="most estimates per second of event time; by default one a sample")
+    ticks: Annotated[float, Field(gt=0, le=1000)] | None = Field(
+        None, description="Hz: estimates predicted to the multiples of 1/ticks in event time; by default none"
+    )
+    settled: bool = Field(False, description="also publish the estimates in the order of stamps, behind the lag window")
 
 
 class SmoothSettings(Settings):
@@ -339,6 +348,16 @@ class SmoothSettings(Settings):
     rate: Positive = Field(10.0, description="most estimates per second of event time")
 
 
+class TlsSettings(Settings):
+    """Certificates (PEM) for endpoints of tls/ and quic/; paths are from the folder of the configuration."""
+
+    ca: str = Field(min_length=1, description="file: who may have signed the other side's certificate")
+    certificate: str | None = Field(None, description="file: our own, which both listening and connecting show")
+    key: str | None = Field(None, description="file that others cannot read: the certificate's private key")
+    mutual: bool = Field(True, description="who connects shows a certificate too")
+    verify_name: bool = Field(True, description="connect only where the certificate is for the endpoint's host")
+
+
 class ZenohSettings(Settings):
     """How the service meets others. The default listens on loopback only and looks for nobody."""
 
@@ -346,6 +365,19 @@ class ZenohSettings(Settings):
     listen: list[str] = Field(default_factory=lambda: ["tcp/127.0.0.1:7447"])
     connect: list[str] = Field(default_factory=list)
     multicast: bool = False
+    tls: TlsSettings | None = Field(None, description="for endpoints tls/HOST:PORT and quic/HOST:PORT")
+    user: str | None = Field(None, min_length=1, description="who we say we are; needs a password")
+    password_file: str | None = Field(None, description="file that others cannot read, with the password only")
+    password_env: str | None = Field(None, description="or the environment variable that holds it")
+    users_file: str | None = Field(None, description="who may connect to us: lines user:password")
+    access: str | None = Field(None, description="JSON5 file: Zenoh's access_control of this session")
+    max_payload: Annotated[Bytes, Field(ge=1)] | None = Field(
+        None, description="bytes of payload and attachment; larger samples of others are dropped, uncounted"
+    )
+    cache: Annotated[int, Field(ge=0, le=1_000_000)] = Field(
+        1000, description="samples of each output that are kept for who missed them; 0: none, and no recovery"
+    )
+    raw: dict[str, Any] = Field(default_factory=dict, description="any other key of Zenoh's configuration by its path")
 
 
 class HttpTlsSettings(Settings):
@@ -387,11 +419,18 @@ class RecordSettings(Settings):
     latched: list[str] = Field(default_factory=lambda: ["/tf_static"], description="topics repeated in every file")
 
 
+class FleetSettings(Settings):
+    """Filters that topics with captures make, such as fleet/{robot}/imu: one for each name."""
+
+    most: Annotated[int, Field(ge=1, le=10_000)] = Field(100, description="filters at a time")
+    expire: Annotated[Seconds, Field(gt=0)] = Field(60.0, description="silence of all its topics that ends a filter")
+
+
 class Config(Settings):
     """One filter: model, start, gain, sensors, and where its results go."""
 
     version: Literal[1] = Field(alias="fuselog")
-    id: str = Field("filter", pattern=r"^[A-Za-z0-9_.-]{1,64}$")
+    id: str = Field("filter", pattern=r"^[A-Za-z0-9_.{}-]{1,64}$")
     model: Annotated[ModelSettings, BeforeValidator(_named)]
     filter: Annotated[FilterSettings, BeforeValidator(_of_kind)] = FilterSettings.model_validate({})
     initial: InitialSettings = InitialSettings.model_validate({})
@@ -402,5 +441,6 @@ class Config(Settings):
     output: OutputSettings = OutputSettings.model_validate({})
     smooth: SmoothSettings | None = Field(None, description="fixed-lag smoothing; by default none")
     zenoh: ZenohSettings = ZenohSettings.model_validate({})
-    http: HttpSettings = HttpSettings()
+    http: HttpSettings = HttpSettings.model_validate({})
     record: RecordSettings | None = Field(None, description="of a live service; by default nothing is recorded")
+    fleet: FleetSettings = FleetSettings.model_validate({})

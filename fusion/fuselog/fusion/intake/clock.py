@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision, Events
+from fuselog.fusion.kept import take_into
 from fuselog.fusion.kernel.tables import NEVER, Bytes, Ints
 from fuselog.schemas.compiled import kernel
 
@@ -21,6 +22,19 @@ class ClockGuard:
     def __init__(self, max_step_ns: int) -> None:
         self._max_step_ns = max_step_ns
         self._memory = np.array([NEVER, NEVER, 0])  # newest, newest of the jump, how many confirm it
+
+    @property
+    def newest(self) -> int:
+        """The newest stamp that was believed, or ``NEVER``."""
+        return int(self._memory[0])
+
+    def save(self) -> Ints:
+        """What ``load`` takes."""
+        return self._memory
+
+    def load(self, memory: Ints) -> None:
+        """Remember what another did; raises ``ValueError`` where that cannot be."""
+        take_into(self._memory, memory)
 
     def mark(self, events: Events) -> None:
         """Take events in arrival order and set the fault of those that jump."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,10 +12,19 @@ from fuselog.fusion.config import Problem, did_you_mean
 from fuselog.fusion.events import Decision, Events, blank_events, join
 from fuselog.fusion.intake.bind import Binder, make_binder, without_noise
 from fuselog.fusion.intake.learned import FieldCheck
-from fuselog.fusion.intake.mounts import IDENTITY, Mount, StaticTransforms, check_transforms, configured_mount
-from fuselog.fusion.intake.stream import Stream, own_messages, same_topic
+from fuselog.fusion.intake.mounts import (
+    IDENTITY,
+    Mount,
+    StaticTransforms,
+    check_transforms,
+    configured_mount,
+    load_mount,
+)
+from fuselog.fusion.intake.stream import Stream, load_messages, own_messages, same_topic, save_messages
+from fuselog.fusion.kept import take_into
 from fuselog.fusion.plan import Plan, SensorPlan
 from fuselog.fusion.plan.readings import PARTS, Shape, sensor_parts
+from fuselog.fusion.sealed import Tree
 from fuselog.schemas import Codec, Fault, Messages, SchemaError
 
 TF_STATIC = "/tf_static"
@@ -54,14 +63,10 @@ class _Feed:
 
 
 class Taken(NamedTuple):
-    """What a batch of messages gave: events in arrival order, and the lever arm (m) of each sensor placed by it.
-
-    ``settled`` are the events that nothing can come before any more, in the total order, where somebody asked for them.
-    """
+    """What a batch of messages gave: events in arrival order, and the lever arm (m) of each sensor placed by it."""
 
     events: Events
     levers: dict[int, Floats]
-    settled: Events | None = None
 
 
 class Intake:
@@ -113,6 +118,62 @@ class Intake:
         ]
         if missing:
             raise self._plan.source.complain(missing)
+
+    @property
+    def streams(self) -> dict[int, Stream]:
+        """The streams that are open and used, by number."""
+        taps = [(number, tap.stream) for feed in self._feeds for number, tap in feed.taps.items()]
+        return dict(sorted([*taps, *self._tf_streams.items()], key=lambda each: each[0]))
+
+    def configure(self, plan: Plan) -> None:
+        """Go on with a plan of the same sensors; raises ``ConfigError``, and stays as it is, for one that cannot be."""
+        bound = [
+            {number: self._tap(sensor, tap.stream) for number, tap in feed.taps.items()}
+            for feed, sensor in zip(self._feeds, plan.sensors, strict=True)
+        ]
+        for feed, sensor, taps in zip(self._feeds, plan.sensors, bound, strict=True):
+            feed.sensor, feed.taps = sensor, taps
+        self._plan = plan
+
+    def save(self) -> Tree:
+        """What ``load`` takes."""
+        feeds = [
+            {
+                "taken": feed.taken,
+                "mount": None if feed.mount is None else feed.mount.save(),
+                "held": [save_messages(own_messages(held, np.arange(len(held)))) for held in feed.held],
+                "reference": np.array([feed.reference]),
+                "field": None if feed.field_check is None else feed.field_check.save(),
+            }
+            for feed in self._feeds
+        ]
+        return {
+            "streams": [{"number": number, **asdict(stream)} for number, stream in self.streams.items()],
+            "feeds": feeds,
+            "transforms": self._transforms.save(),
+            "datum": self._datum,
+        }
+
+    def load(self, tree: Tree) -> None:
+        """Become what an intake with the same plan was, its streams open under their numbers.
+
+        Raises ``ValueError``, ``LookupError``, or what ``open`` does, where that cannot be.
+        """
+        self._feeds = [_feed(sensor) for sensor in self._plan.sensors]
+        self._tf_streams.clear()
+        for each in tree["streams"]:
+            description = dict(each)
+            self.open(int(description.pop("number")), Stream(**description))
+        for feed, kept in zip(self._feeds, tree["feeds"], strict=True):
+            feed.taken = int(kept["taken"])
+            feed.mount = None if kept["mount"] is None else load_mount(kept["mount"])
+            feed.held = [load_messages(each) for each in kept["held"]]
+            feed.reference = float(kept["reference"][0])
+            if feed.field_check is not None:
+                feed.field_check.load(kept["field"])
+        self._transforms.load(tree["transforms"])
+        self._datum = np.empty(3)
+        take_into(self._datum, tree["datum"])
 
     def open(self, number: int, stream: Stream) -> bool:
         """Prepare for a stream; False when nothing uses it.
@@ -190,7 +251,9 @@ class Intake:
             events.t_ns[at] = columns.t_ns if tap.stamped else messages.log_time[chosen]
             events.fault[at] = _FROM_FAULT[columns.fault]
             tap.binder.bind(columns.values, events, at, feed.mount or IDENTITY, self._datum, feed.reference)
-        if feed.field_check is not None:
+        if not feed.sensor.settings.enabled:
+            events.fault[rows] = Decision.DISABLED
+        elif feed.field_check is not None:
             feed.field_check.mark(events, rows)
 
     def _tap(self, sensor: SensorPlan, stream: Stream) -> _Tap:
@@ -231,7 +294,8 @@ class Intake:
         if self.datum is not None:
             return
         first = len(messages)
-        for number, tap in ((n, t) for feed in self._feeds for n, t in feed.taps.items() if t.binder.needs_datum):
+        enabled = [feed for feed in self._feeds if feed.sensor.settings.enabled]
+        for number, tap in ((n, t) for feed in enabled for n, t in feed.taps.items() if t.binder.needs_datum):
             part = next(part for part in PARTS[tap.stream.schema_name] if part.shape == Shape.GEODETIC)
             fields = [*part.fields, *([part.status] if part.status is not None else [])]
             at, values = _first(tap.stream, fields, messages, number, lambda v: (v[:, 3:] >= 0).all(axis=1))
@@ -242,7 +306,8 @@ class Intake:
         """The first usable pressure of each barometer is where its height is 0, when the configuration gives none."""
         for feed in self._feeds:
             first = len(messages)
-            for number, tap in feed.taps.items() if math.isnan(feed.reference) else ():
+            unknown = math.isnan(feed.reference) and feed.sensor.settings.enabled
+            for number, tap in feed.taps.items() if unknown else ():
                 if tap.binder.needs_reference:
                     path = tap.binder.fields[:1]
                     at, values = _first(tap.stream, path, messages, number, lambda v: (v > 0).all(axis=1))

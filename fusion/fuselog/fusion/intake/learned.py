@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.config import FieldSettings
 from fuselog.fusion.events import Decision, Events
+from fuselog.fusion.kept import take_into
 from fuselog.fusion.kernel.tables import SAMPLE_WIDTH
 from fuselog.schemas.compiled import kernel
 
@@ -30,6 +31,16 @@ class FieldCheck:
         self._tolerance = settings.tolerance
         self._begin = np.zeros(1, np.int64)  # stamp of the first sample
         self._memory = np.array([expected, 0.0, 0.0])  # strength, sum and number of what it is learned from
+
+    def save(self) -> list[NDArray[Any]]:
+        """What ``load`` takes."""
+        return [self._begin, self._memory]
+
+    def load(self, memory: list[NDArray[Any]]) -> None:
+        """Remember what another did; raises ``ValueError`` where that cannot be."""
+        begin, learned = memory
+        take_into(self._begin, begin)
+        take_into(self._memory, learned)
 
     def mark(self, events: Events, rows: NDArray[np.int64]) -> None:
         """Take these rows of the events, in arrival order."""

@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.config import SensorSettings
 from fuselog.fusion.intake.stream import Stream
+from fuselog.fusion.kept import take_into
 from fuselog.fusion.kernel.rotations import matrix_from_quaternion, quaternions_from_rpy
+from fuselog.fusion.sealed import Tree
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -25,10 +27,22 @@ class Mount:
         """The rotation (3, 3)."""
         return matrix_from_quaternion(self.quaternion)
 
+    def save(self) -> Tree:
+        """What ``load_mount`` takes."""
+        return {"lever": self.lever, "quaternion": self.quaternion}
+
     @property
     def turned(self) -> bool:
         """Whether the sensor's axes differ from the body's."""
         return bool(np.any(self.quaternion[:3] != 0))
+
+
+def load_mount(tree: Tree) -> Mount:
+    """The mount of ``Mount.save``; raises ``ValueError`` or ``LookupError`` where there is none."""
+    mount = Mount(np.empty(3), np.empty(4))
+    take_into(mount.lever, tree["lever"])
+    take_into(mount.quaternion, tree["quaternion"])
+    return mount
 
 
 IDENTITY = Mount(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
@@ -56,6 +70,14 @@ class StaticTransforms:
             values = columns.values[0]
             if np.all(np.isfinite(values)) and np.any(values[3:]):
                 self.parents[child] = parent, Mount(values[:3].copy(), values[3:].copy())
+
+    def save(self) -> list[Tree]:
+        """What ``load`` takes."""
+        return [{"child": child, "parent": parent, **mount.save()} for child, (parent, mount) in self.parents.items()]
+
+    def load(self, kept: list[Tree]) -> None:
+        """Know what another knew; raises ``ValueError`` or ``LookupError`` where that cannot be."""
+        self.parents = {str(each["child"]): (str(each["parent"]), load_mount(each)) for each in kept}
 
     def find(self, base: str, frame: str) -> Mount | None:
         """base_from_frame along the chain of parents; None when they do not connect."""

@@ -4,7 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision, Events, blank_events, take_joined
-from fuselog.fusion.kernel.tables import NEVER
+from fuselog.fusion.kept import load_events, save_events, take_into
+from fuselog.fusion.kernel.tables import NEVER, Tables
+from fuselog.fusion.sealed import Tree
 
 
 class StampOrder:
@@ -35,13 +37,24 @@ class StampOrder:
         late = usable & (events.t_ns < oldest[:-1])
         fault = np.where(late, np.uint8(Decision.LATE), events.fault)
         place = np.where(usable & ~late, events.t_ns, newest[:-1])
-        self._newest = newest[-1]
+        self._newest = int(newest[-1])
         place = np.append(self._place, place)
         return self._release(events._replace(fault=fault), place, place < oldest[-1])
 
     def finish(self) -> Events:
         """What is left, in the total order."""
         return self._release(self._held.take(slice(0, 0)), self._place, np.ones(len(self._place), bool))
+
+    def save(self) -> Tree:
+        """What ``load`` takes."""
+        return {"newest": self._newest, "held": save_events(self._held), "place": self._place}
+
+    def load(self, tree: Tree, tables: Tables) -> None:
+        """Hold what another held; raises ``ValueError`` or ``LookupError`` where that cannot be."""
+        held = load_events(tree["held"], tables)
+        place = np.empty(held.size, np.int64)
+        take_into(place, tree["place"])
+        self._newest, self._held, self._place = int(tree["newest"]), held, place
 
     def _release(self, fresh: Events, place: NDArray[np.int64], ready: NDArray[np.bool_]) -> Events:
         """Give what is ready, of what was held and what is fresh, and hold the rest."""

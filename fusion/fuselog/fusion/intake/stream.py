@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fuselog.fusion.kept import take_into
+from fuselog.fusion.sealed import Tree
 from fuselog.schemas import Codec, Messages, MessageType, compile_codec, field_paths, stamp_path
 
 
@@ -40,6 +42,34 @@ class Stream:
             "schema_name": self.schema_name,
             "schema_text": self.schema_text,
         }
+
+
+_COLUMNS = ("stream", "data", "start", "length", "log_time", "publish_time", "sequence")
+
+
+def save_messages(messages: Messages) -> Tree:
+    """Messages with bytes of their own as a tree."""
+    return {name: getattr(messages, name) for name in _COLUMNS}
+
+
+def load_messages(tree: Tree) -> Messages:
+    """The messages of ``save_messages``; raises ``ValueError`` or ``LookupError`` where they cannot be such."""
+    n = len(tree["stream"])
+    start, length, log_time, publish_time, sequence = (np.empty(n, np.int64) for _ in range(5))
+    messages = Messages(
+        stream=np.empty(n, np.int32),
+        data=np.empty(len(tree["data"]), np.uint8),
+        start=start,
+        length=length,
+        log_time=log_time,
+        publish_time=publish_time,
+        sequence=sequence,
+    )
+    for name in _COLUMNS:
+        take_into(getattr(messages, name), tree[name])
+    if not ((start >= 0) & (length >= 0) & (start <= len(messages.data) - length)).all():
+        raise ValueError("a message beyond the end")
+    return messages
 
 
 def same_topic(topic: str) -> str:

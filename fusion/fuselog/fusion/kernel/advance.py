@@ -8,9 +8,11 @@ from fuselog.fusion.kernel.layout import (
     AT,
     COVARIANCE,
     DUPLICATE,
+    FUSED,
     KNOWN,
     LATE,
     MARKS,
+    MEASURES,
     PACKED,
     ROW,
     SENSOR_MARKS,
@@ -18,7 +20,8 @@ from fuselog.fusion.kernel.layout import (
 )
 from fuselog.fusion.kernel.moments import marks_at, moment
 from fuselog.fusion.kernel.rows import row_copy
-from fuselog.fusion.kernel.step import step
+from fuselog.fusion.kernel.soundness import wrong
+from fuselog.fusion.kernel.step import carry, step
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
 from fuselog.schemas.compiled import inline, kernel
 
@@ -38,6 +41,24 @@ def advance(tables: int, history: int, work: int, events: int, start: int, rows:
         start,
         record_at(rows, Rows),
     )
+
+
+@kernel
+def look_ahead(tables: int, history: int, work: int, k: int) -> int:
+    """Make entry k of the history, whose time is set, the prediction of entry k - 1; returns FUSED, or what is wrong.
+
+    All but ``k`` are places of a ``Block``.
+    """
+    return look_ahead_at(record_at(tables, Tables), record_at(history, History), record_at(work, Work), k)
+
+
+@inline
+def look_ahead_at(tables: Tables, history: History, work: Work, k: int) -> int:
+    """``look_ahead`` on the records themselves."""
+    fault = carry(tables, history, work, k, MEASURES)
+    if fault != FUSED:
+        return fault
+    return wrong(tables, history, work, k)
 
 
 @inline

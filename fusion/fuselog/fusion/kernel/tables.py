@@ -7,7 +7,7 @@ import numpy as np
 
 NEVER = np.iinfo(np.int64).min  # the time of a filter that has seen nothing
 
-DECISIONS = 12  # kinds of ``Decision``
+DECISIONS = 13  # kinds of ``Decision``
 SAMPLE_WIDTH = 3  # numbers that come with a sample besides what was measured: the position of a beacon
 
 # A flat array outside of a kernel, a bare pointer inside; no one type describes both.

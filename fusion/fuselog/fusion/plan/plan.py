@@ -99,6 +99,8 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
     problems += check_rates(config, card, sensors)
     problems += _check_without_covariance(config)
     problems += _check_kind(config)
+    if linear and linear[1].step and config.output.ticks is not None:
+        problems.append(Problem(("output", "ticks"), "a model of fixed steps has no estimate between them"))
     if linear and not problems:
         H = [_seen(sensor, sensor_rows, card) for sensor, sensor_rows in zip(sensors, rows, strict=True)]
         problems += check_seen(config, linear[1], sensors, H)

@@ -1,5 +1,6 @@
 """``fuselog play``: logs onto Zenoh."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -81,10 +82,13 @@ def play(
     from fuselog.service.play.playing import Commands, Pace, clock_rate, range_of, run  # noqa: PLC0415  slow to import
     from fuselog.service.transport import Endpoints, visitor_endpoints  # noqa: PLC0415  slow to import
 
-    at = visitor_endpoints(load_config(config)[0].zenoh) if config is not None else Endpoints()
+    at = Endpoints()
+    if config is not None:
+        known, written = load_config(config)
+        at = visitor_endpoints(known.zenoh, written)
     if connect or listen or config is None:
         default = [] if listen else ["tcp/127.0.0.1:7447"]
-        at = Endpoints(mode=mode, listen=listen or [], connect=connect or default)
+        at = replace(at, mode=mode, listen=listen or [], connect=connect or default)
     with open_log(*logs, limits=limits) as log:
         try:
             if loop_to is not None and (until is not None or not loop):

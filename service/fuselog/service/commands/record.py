@@ -2,6 +2,7 @@
 
 import re
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -67,12 +68,12 @@ def record(
     selection = Selection(keys=expressions(keys or ["**"]), exclude=expressions(exclude or []), pattern=_pattern(regex))
     at, types = Endpoints(), stream_types({})
     if config is not None:
-        known = load_config(config)[0]
-        at = visitor_endpoints(known.zenoh)
+        known, source = load_config(config)
+        at = visitor_endpoints(known.zenoh, source)
         types = stream_types({sensor.topic: sensor.type for sensor in known.sensors.values()})
     if connect or listen or config is None:
         default = [] if listen else ["tcp/127.0.0.1:7447"]
-        at = Endpoints(mode=mode, listen=listen or [], connect=connect or default)
+        at = replace(at, mode=mode, listen=listen or [], connect=connect or default)
     stop, wanted = stop_and_snapshot()
     with open_session(at, timeout_s=10.0) as session:
         recording = Recording(output, options_of(settings))

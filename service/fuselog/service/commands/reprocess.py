@@ -63,6 +63,8 @@ def reprocess(
         print_json(summary.to_json())
     else:
         _print(summary.to_json())
+    for reason in dict.fromkeys(summary.passed_over):
+        stderr.print(f"{summary.passed_over.count(reason)} commands in the log not followed: {reason}")
     for loss in summary.losses:
         stderr.print(f"lost: {loss}")
     if summary.lossy:
@@ -72,7 +74,7 @@ def reprocess(
 def _print(summary: dict[str, Any]) -> None:
     rate = summary["messages"] / max(summary["seconds"], 1e-9)
     typer.echo(f"{summary['messages']} messages in {summary['seconds']:.2f} s ({rate:,.0f}/s)")
-    names = ("received", "fused", "gated", "late", "duplicate", "skipped")
+    names = ("received", "fused", "gated", "late", "duplicate", "skipped", "disabled")
     typer.echo(f"{'sensor':16}" + "".join(f"{name:>11}" for name in (*names, "invalid")))
     for sensor, account in summary["ledger"].items():
         invalid = sum(account["invalid"].values())

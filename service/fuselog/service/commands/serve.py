@@ -1,4 +1,4 @@
-"""``fuselog serve``: a filter on live data."""
+"""``fuselog serve``: filters on live data."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +10,7 @@ from fuselog.service.signals import stop_and_snapshot
 
 
 def serve(
-    config: Annotated[Path, typer.Argument(help="The fusion configuration (YAML).")],
+    configs: Annotated[list[Path], typer.Argument(help="Fusion configurations (YAML), each of one filter or more.")],
     behind_proxy: Annotated[
         bool,
         typer.Option("--behind-proxy", help="HTTP comes from a proxy that has TLS; whoever asks needs a token."),
@@ -31,15 +31,15 @@ def serve(
     from fuselog.service.rest.audit import audit_to_stderr  # noqa: PLC0415  slow to import
     from fuselog.service.transport import service_endpoints  # noqa: PLC0415  slow to import
 
-    plan = load_plan(config)
+    plans = [load_plan(config) for config in configs]
     audit_to_stderr()
     stop, snapshot = stop_and_snapshot()
-    at = service_endpoints(plan.config.zenoh)
-    where = ", ".join([*at.listen, *at.connect])
+    at = service_endpoints(plans[0].config.zenoh, plans[0].source)
+    where, names = ", ".join([*at.listen, *at.connect]), ", ".join(repr(plan.config.id) for plan in plans)
     run(
-        plan,
+        plans,
         stop=stop,
-        started=lambda address: stderr.print(f"ready: filter {plan.config.id!r} on {where}, health at {address}"),
+        started=lambda address: stderr.print(f"ready: filter {names} on {where}, health at {address}"),
         behind_proxy=behind_proxy,
         snapshot=snapshot,
     )

@@ -1,22 +1,33 @@
-"""Where samples wait for the filter: one bounded queue, in the order in which they came, over all keys."""
+"""Where samples wait for the filters: one bounded queue, in the order in which they came, over all keys."""
 
 import threading
 import time
+from collections import Counter
+from collections.abc import Callable
 from typing import NamedTuple
 
 import zenoh
 
+_MOST_KEYS = 1000  # whose shed samples are counted apart
+
 
 class Arrival(NamedTuple):
-    """A sample, the number of its key, and when it came (ns)."""
+    """A sample, the number of the subscription on which it came, and when it came (ns)."""
 
-    key: int
+    subscription: int
     sample: zenoh.Sample
     arrival_ns: int
 
 
+class Request(NamedTuple):
+    """Something to be done by the thread that owns the filters, at its place in the order of arrival."""
+
+    do: Callable[[], None]
+    arrival_ns: int
+
+
 class Inbox:
-    """``put`` is called on Zenoh's network thread, ``take`` by the one thread that owns the filter.
+    """``put`` is called on Zenoh's network thread, ``take`` by the one thread that owns the filters.
 
     Zenoh keeps the order of a publisher's samples over all its keys on that thread only: a channel of Zenoh's own
     belongs to one key. When the queue is full the network thread waits, which slows publishers that block;
@@ -24,32 +35,38 @@ class Inbox:
     """
 
     def __init__(
-        self, keys: int, *, capacity: int = 16_384, capacity_bytes: int = 64 << 20, patience_s: float = 1.0
+        self, *, capacity: int = 16_384, capacity_bytes: int = 64 << 20, largest: int = 4 << 20, patience_s: float = 1.0
     ) -> None:
-        self.shed = [0] * keys
-        self._capacity, self._capacity_bytes, self._patience_s = capacity, capacity_bytes, patience_s
+        """``largest``: bytes of a payload that is let in at all."""
+        self.shed: Counter[tuple[int, str]] = Counter()  # by subscription and key
+        self.oversized: Counter[tuple[int, str]] = Counter()
+        self.capacity, self._capacity_bytes, self._patience_s = capacity, capacity_bytes, patience_s
+        self._largest = min(largest, capacity_bytes)
         self._lock = threading.Lock()
         self._arrived = threading.Condition(self._lock)
         self._room = threading.Condition(self._lock)
-        self._waiting: list[Arrival] = []
+        self._waiting: list[Arrival | Request] = []
         self._bytes = 0
         self._asleep = False
         self._shedding = False
 
-    def put(self, key: int, sample: zenoh.Sample) -> None:
-        """Take in a sample of key number ``key``."""
-        arrival = Arrival(key, sample, time.time_ns())
+    def put(self, subscription: int, sample: zenoh.Sample) -> None:
+        """Take in a sample."""
         size = len(sample.payload)
         with self._lock:
-            if not self._fits(size) and not self._wait_for_room(size):
-                self.shed[key] += 1
-                return
-            self._waiting.append(arrival)
-            self._bytes += size
-            if self._asleep:
-                self._arrived.notify()
+            if size > self._largest:
+                _count(self.oversized, subscription, sample)
+            elif not self._fits(size) and not self._wait_for_room(size):
+                _count(self.shed, subscription, sample)
+            else:
+                self._add(Arrival(subscription, sample, time.time_ns()), size)
 
-    def take(self, timeout_s: float) -> list[Arrival]:
+    def ask(self, do: Callable[[], None]) -> None:
+        """Have something done in turn; there is always room for it."""
+        with self._lock:
+            self._add(Request(do, time.time_ns()), 0)
+
+    def take(self, timeout_s: float) -> list[Arrival | Request]:
         """All that has come, waiting at most ``timeout_s`` for the first."""
         with self._lock:
             if not self._waiting:
@@ -60,14 +77,26 @@ class Inbox:
             self._room.notify_all()
         return taken
 
+    def _add(self, item: Arrival | Request, size: int) -> None:
+        self._waiting.append(item)
+        self._bytes += size
+        if self._asleep:
+            self._arrived.notify()
+
     def _fits(self, size: int) -> bool:
-        fits = len(self._waiting) < self._capacity and self._bytes + size <= self._capacity_bytes
+        fits = len(self._waiting) < self.capacity and self._bytes + size <= self._capacity_bytes
         self._shedding = self._shedding and not fits
         return fits
 
     def _wait_for_room(self, size: int) -> bool:
         """Whether there was room in time; holds the lock at the end as at the start."""
-        if self._shedding or size > self._capacity_bytes:
+        if self._shedding:
             return False
         self._shedding = not self._room.wait_for(lambda: self._fits(size), self._patience_s)
         return not self._shedding
+
+
+def _count(counter: Counter[tuple[int, str]], subscription: int, sample: zenoh.Sample) -> None:
+    """Count a sample that is not let in; the keys beyond the first thousand together."""
+    key = (subscription, str(sample.key_expr))
+    counter[key if key in counter or len(counter) < _MOST_KEYS else (subscription, "")] += 1

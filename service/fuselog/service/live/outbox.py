@@ -1,59 +1,94 @@
-"""Results on their way out: published by a thread of their own, so that no slow subscriber holds up the filter."""
+"""Results on their way out: published by a thread of their own, so that no slow subscriber holds up a filter."""
 
 import queue
 from collections.abc import Callable
+from functools import partial
 
+import numpy as np
 import zenoh
 
-from fuselog.fusion import Output, Outputs, Stream
-from fuselog.schemas import Messages
-from fuselog.service.streams import tell
+from fuselog.fusion import Output, Outputs, Plan, Stream
+from fuselog.fusion.health import HEALTH
+from fuselog.schemas import Messages, pack
+from fuselog.service.streams import Announcements
 from fuselog.service.transport import key_of
 from fuselog.service.wire import Tag, media_type, write_tag
 from fuselog.service.zenoh_door import Publisher
 
 
-class Outbox:
-    """``offer`` never waits: what does not fit is dropped and counted.
+class Post:
+    """The publishing thread of a service, for the outboxes of all its filters. ``put`` never waits.
 
     Publishing waits for a slow subscriber. One that takes nothing for 5 s loses its connection by Zenoh's own rule,
     and only that one.
     """
 
-    def __init__(self, session: zenoh.Session, outputs: Outputs, *, source: bytes, capacity: int = 131_072) -> None:
+    def __init__(self, *, capacity: int = 131_072) -> None:
+        self._capacity = capacity  # messages
+        self._queue: queue.SimpleQueue[Callable[[], int] | None] = queue.SimpleQueue()  # to do, for so many messages
+        self._offered = self._done = 0  # messages; each counter has one writer
+
+    def put(self, size: int, publish: Callable[[], int]) -> bool:
+        """Take ``size`` messages to publish -> whether there was room; called on the thread of the filters."""
+        if self._offered - self._done + size > self._capacity:
+            return False
+        self._offered += size
+        self._queue.put(publish)
+        return True
+
+    def run(self) -> None:
+        """Publish until ``finish``."""
+        while (publish := self._queue.get()) is not None:
+            self._done += publish()
+
+    def finish(self) -> None:
+        """Let ``run`` end after what was put."""
+        self._queue.put(None)
+
+
+class Outbox:
+    """The publishers of one filter. ``offer`` never waits: what does not fit is dropped and counted."""
+
+    def __init__(self, session: zenoh.Session, post: Post, told: Announcements, plan: Plan, *, source: bytes) -> None:
         self.dropped = 0
         self.record: Callable[[Messages], None] | None = None  # is given all that is offered, and never waits either
-        self._capacity = capacity
-        self._source = source
-        self._queue: queue.SimpleQueue[Messages | None] = queue.SimpleQueue()
-        self._offered = self._done = 0  # messages; each counter has one writer
-        self._sequence = [0] * len(outputs.topics)
-        media = [media_type("cdr", output.schema_name) for output in outputs.topics]
-        keys = [key_of(output.topic) for output in outputs.topics]
-        self._publishers = [Publisher(session, key, kind) for key, kind in zip(keys, media, strict=True)]
-        tell(session, {key_of(output.topic): [_stream(output)] for output in outputs.topics}, outputs=True)
+        self.topics = (*Outputs(plan).topics, Output(f"{plan.config.output.estimate.rstrip('/')}/health", HEALTH))
+        self._post, self._told, self._source = post, told, source
+        self._sequence = [0] * len(self.topics)
+        media = [media_type("cdr", output.schema_name) for output in self.topics]
+        self._keys = [key_of(output.topic) for output in self.topics]
+        self._publishers = [Publisher(session, key, kind) for key, kind in zip(self._keys, media, strict=True)]
+        told.add({key: [_stream(output)] for key, output in zip(self._keys, self.topics, strict=True)})
 
     def offer(self, messages: Messages) -> None:
         """Give what ``Outputs.encode`` made to the publishing thread."""
         if self.record is not None:
             self.record(messages)
-        if self._offered - self._done + len(messages) > self._capacity:
+        if len(messages) and not self._post.put(len(messages), partial(self._publish, messages)):
             self.dropped += len(messages)
-        elif len(messages):
-            self._offered += len(messages)
-            self._queue.put(messages)
 
-    def run(self) -> None:
-        """Publish until ``finish``."""
-        while (messages := self._queue.get()) is not None:
-            self._publish(messages)
-            self._done += len(messages)
+    def tell_health(self, payload: bytes, t_ns: int) -> None:
+        """Give a message of health, of a time of the filter, to the publishing thread."""
+        data, start, length = pack([payload])
+        stream, at = np.array([len(self.topics) - 1], np.int32), np.array([t_ns])
+        self.offer(
+            Messages(
+                stream=stream,
+                data=data,
+                start=start,
+                length=length,
+                log_time=at,
+                publish_time=at,
+                sequence=0 * at,
+            )
+        )
 
-    def finish(self) -> None:
-        """Let ``run`` end after what was offered."""
-        self._queue.put(None)
+    def close(self) -> None:
+        """Take the publishers back, after what was offered."""
+        self._told.forget(self._keys)
+        self._post.put(0, self._undeclare)
 
-    def _publish(self, messages: Messages) -> None:
+    def _publish(self, messages: Messages) -> int:
         data = messages.data.data
         wanted = [publisher.wanted for publisher in self._publishers]
         streams, times = messages.stream.tolist(), messages.log_time.tolist()
@@ -63,6 +98,12 @@ class Outbox:
             if wanted[stream]:
                 tag = Tag(self._sequence[stream], t_ns, self._source)
                 self._publishers[int(stream)].put(bytes(data[start : start + length]), write_tag(tag))
+        return len(messages)
+
+    def _undeclare(self) -> int:
+        for publisher in self._publishers:
+            publisher.close()
+        return 0
 
 
 def _stream(output: Output) -> Stream:

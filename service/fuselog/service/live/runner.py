@@ -1,70 +1,101 @@
-"""The one thread that owns a filter: takes what has come, fuses it, gives away the results, and shows a snapshot."""
+"""The one thread that owns all filters of a service: takes what has come, brings it to its filters, shows snapshots."""
 
 import time
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
+from typing import TypeVar
 
-from fuselog.fusion import Estimate, Filter, Ledger, Outputs, Plan, Track, join_tracks
-from fuselog.fusion.health import Health, Losses, Recent, assess, no_samples, remember
-from fuselog.fusion.intake import same_topic
-from fuselog.replay.recording import RecordingStatus
-from fuselog.service.live.inbox import Inbox
-from fuselog.service.live.outbox import Outbox
-from fuselog.service.live.sources import Progress, Sources
-from fuselog.service.streams import Learn, Streams, stream_types
+from fuselog.schemas import FuselogError
+from fuselog.service.live.group import Group
+from fuselog.service.live.inbox import Arrival, Inbox, Request
+from fuselog.service.live.keys import Captures
+from fuselog.service.live.member import Member, Snapshot
+from fuselog.service.live.sources import Numbered
 
-_LOOK_EVERY_S = 0.02  # how old a snapshot may be
-_IDLE_S = 0.5
+_LOOK_EVERY_S = 0.1  # how old a snapshot may be while samples come
+_WATCH_EVERY_S = 0.25  # and the judgement of a filter's health
+_GATHER_S = 0.004  # most that a turn waits for more to come, where turns are what takes the time
+_QUIET_S = 0.02  # without samples, then snapshots are renewed at once
+_MOST_UNKNOWN = 1000
+_MOST_ENDED = 100
+
+T = TypeVar("T")
+Make = Callable[[Group, Captures], Member]
+Target = tuple[Member, int]  # and the number of the key there
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Snapshot:
-    """A filter at one moment. Never changed, only replaced: who holds one may read it on any thread."""
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """Samples that belong to no filter: how many, and the last keys with the reason of each."""
 
-    plan: Plan
-    estimate: Estimate
-    ledger: Ledger
-    recent: Recent
-    optimality_ratio: float | None
-    losses: dict[str, Losses]  # by key
-    progress: dict[str, dict[str, Progress]]  # by publisher and key
-    unpublished: int
-    last_arrival: float | None  # monotonic s
-    recording: RecordingStatus | None = None  # None: there is to be none
-
-    @property
-    def health(self) -> Health:
-        """What is wrong with the filter, and why."""
-        return assess(
-            self.plan,
-            estimate=self.estimate,
-            ledger=self.ledger,
-            recent=self.recent,
-            losses=self.losses,
-            optimality_ratio=self.optimality_ratio,
-        )
+    samples: int
+    keys: Mapping[str, str]
 
 
 class Runner:
-    """Feeds a filter from its inbox until ``stop``, then finishes what is there; ``snapshot`` is always the latest.
+    """Feeds the filters of some groups from the inbox until ``stop``, then finishes what is there.
 
-    ``heartbeat`` is the monotonic time (s) of its last turn.
+    A filter begins with the first sample whose key has a new name in it, and ends after ``fleet.expire`` without any.
+    ``heartbeat`` is the monotonic time (s) of the last turn.
     """
 
-    def __init__(self, plan: Plan, outbox: Outbox, *, learn: Learn) -> None:
-        self.plan = plan
-        self._filter = Filter(plan, order="as_received", compare=True)
-        self._outputs, self._outbox = Outputs(plan), outbox
-        topics = {sensor.settings.topic: sensor.settings.type for sensor in plan.sensors}
-        streams = Streams(self._filter.intake, stream_types(topics), learn)
-        self.keys = [same_topic(topic) for topic in self._filter.intake.topics]
-        self.inbox = Inbox(len(self.keys))
-        self._sources = Sources(self.keys, streams.identify)
-        self._recent = no_samples(plan)
-        self._tracks: list[Track] = []  # since the last look
-        self._last_arrival: float | None = None
+    def __init__(self, groups: Sequence[Group], inbox: Inbox, make: Make) -> None:
+        self.inbox = inbox
+        self._make = make
+        self._subscriptions = [(group, pattern) for group in groups for pattern in group.patterns]
+        self._members: dict[str, Member] = {}
+        self._ids: dict[tuple[Group, Captures], str] = {}
+        self._routes: dict[tuple[int, str], list[Target]] = {}
+        self._unknown: OrderedDict[str, str] = OrderedDict()
+        self._unknown_samples = 0
+        self._ended: OrderedDict[str, Snapshot] = OrderedDict()
         self._stopping = False
+        self._stale: set[str] = set()  # ids whose snapshot is old
         self.heartbeat = time.monotonic()
-        self.snapshot = self._look()
+        self.snapshots: Mapping[str, Snapshot] = {}
+        self.ended: Mapping[str, Snapshot] = {}
+        self.unknown = Unknown(0, {})
+        for group in groups:
+            if not group.names:
+                self._begin(group, ())
+        self._show()
+
+    @property
+    def expressions(self) -> list[tuple[Group, str]]:
+        """What to subscribe to, and for whom, by number of the subscription."""
+        return [(group, pattern.expression) for group, pattern in self._subscriptions]
+
+    def ask(self, id: str, question: Callable[[Member], T]) -> "Future[T]":
+        """Have a question answered by the thread that owns the filter, after all that has come."""
+        future: Future[T] = Future()
+
+        def do() -> None:
+            if future.set_running_or_notify_cancel():
+                try:
+                    future.set_result(question(self._members[id]))
+                except Exception as error:  # whoever asked gets it
+                    future.set_exception(error)
+                self._stale.add(id)
+
+        self.inbox.ask(do)
+        return future
+
+    def ask_all(self, question: Callable[[Sequence[Member]], T]) -> "Future[T]":
+        """The same of all filters at once."""
+        future: Future[T] = Future()
+
+        def do() -> None:
+            if future.set_running_or_notify_cancel():
+                future.set_result(question([*self._members.values()]))
+
+        self.inbox.ask(do)
+        return future
+
+    def group_of(self, id: str) -> Group:
+        """The group of a filter; ``KeyError`` where there is none."""
+        return self._members[id].group
 
     def stop(self) -> None:
         """Let ``run`` end when the inbox is empty."""
@@ -72,42 +103,138 @@ class Runner:
 
     def run(self) -> None:
         """Turn after turn until ``stop``."""
-        looked, stale = 0.0, False
+        looked = watched = 0.0
         while True:
             stopping = self._stopping
-            arrivals = self.inbox.take(_LOOK_EVERY_S if stale or stopping else _IDLE_S)
-            self.heartbeat = time.monotonic()
-            if arrivals:
-                self._tracks.append(self._filter.feed(self._sources.batch(arrivals)))
-                self._outbox.offer(self._outputs.encode(self._tracks[-1], self._filter.smoothed()))
-                self._last_arrival, stale = self.heartbeat, True
-            if stale and (not arrivals or self.heartbeat - looked > _LOOK_EVERY_S):
-                self.snapshot, looked, stale = self._look(), self.heartbeat, False
+            arrivals = self.inbox.take(_QUIET_S if self._stale or stopping else _WATCH_EVERY_S)
+            self.heartbeat = begun = time.monotonic()
+            self._turn(arrivals)
+            now = time.monotonic()
+            if self._stale and (not arrivals or now - looked > _LOOK_EVERY_S):
+                self._look()
+                looked = now
+            if now - watched > _WATCH_EVERY_S:
+                self._watch(now)
+                watched = now
             if stopping and not arrivals:
-                self._outbox.offer(self._outputs.encode(self._filter.finish(), self._filter.smoothed()))
-                self._outbox.offer(self._outputs.finish())
-                return
+                break
+            if arrivals and not stopping and len(arrivals) < self.inbox.capacity // 16:
+                time.sleep(min(time.monotonic() - begun, _GATHER_S))
+        for id in [*self._members]:
+            self._end(id)
+        self._show()
 
-    def _look(self) -> Snapshot:
-        if self._tracks:
-            self._recent = remember(self._recent, join_tracks(self._tracks))
-            self._tracks.clear()
-        return Snapshot(
-            plan=self.plan,
-            estimate=self._filter.estimate,
-            ledger=self._filter.ledger,
-            recent=self._recent,
-            optimality_ratio=self._filter.optimality_ratio,
-            losses=self._losses(),
-            progress=self._sources.progress(),
-            unpublished=self._outbox.dropped,
-            last_arrival=self._last_arrival,
-        )
+    def _turn(self, arrivals: Sequence[Arrival | Request]) -> None:
+        """Bring samples to their filters, several at once, and do what was asked at its place among them."""
+        batches: dict[int, tuple[Member, list[Numbered]]] = {}
+        for item in arrivals:
+            if isinstance(item, Request):
+                self._feed(batches)
+                item.do()
+                continue
+            for member, key in self._route(item):
+                batches.setdefault(id(member), (member, []))[1].append(Numbered(key, item.sample, item.arrival_ns))
+        self._feed(batches)
 
-    def _losses(self) -> dict[str, Losses]:
-        """Samples that were shed show as gaps in the numbering too; they are counted once."""
-        sources, shed = self._sources, self.inbox.shed
-        columns = zip(self.keys, shed, sources.missed, sources.unknown, sources.reasons, strict=True)
-        return {
-            key: Losses(shed, max(missed - shed, 0), unknown, reason) for key, shed, missed, unknown, reason in columns
-        }
+    def _feed(self, batches: dict[int, tuple[Member, list[Numbered]]]) -> None:
+        for member, samples in batches.values():
+            member.feed(samples)
+            self._stale.add(member.id)
+        batches.clear()
+
+    def _route(self, arrival: Arrival) -> list[Target]:
+        """Which filters a sample is for; none for one of an unknown key, which is counted."""
+        key = str(arrival.sample.key_expr)
+        found = self._routes.get((arrival.subscription, key))
+        if found is None:
+            found = self._find(arrival.subscription, key)
+        if not found:
+            self._unknown_samples += 1
+        return found
+
+    def _find(self, subscription: int, key: str) -> list[Target]:
+        group, pattern = self._subscriptions[subscription]
+        captures = pattern.match(key)
+        if captures is None:
+            return self._refuse(key, "no filter can have this name")
+        if not pattern.names:
+            targets = [(m, m.keys.index(key)) for m in self._members.values() if m.group is group]
+            return targets or self._refuse(key, "there is no filter yet that it belongs to")
+        identity = (group, captures)
+        if identity not in self._ids:
+            reason = self._refusal(group, captures)
+            if reason:
+                return self._refuse(key, reason)
+            self._begin(group, captures)
+        member = self._members[self._ids[identity]]
+        self._routes[subscription, key] = [(member, member.keys.index(key))]
+        return self._routes[subscription, key]
+
+    def _refusal(self, group: Group, captures: Captures) -> str:
+        """Why there can be no such filter; empty when there can."""
+        most = group.plan.config.fleet.most
+        if sum(member.group is group for member in self._members.values()) >= most:
+            return f"there are {most} filters already (fleet: most)"
+        name = group.id_of(captures)
+        return f"there is a filter {name!r} already" if name in self._members else ""
+
+    def _refuse(self, key: str, reason: str) -> list[Target]:
+        self._unknown[key] = reason
+        self._unknown.move_to_end(key)
+        if len(self._unknown) > _MOST_UNKNOWN:
+            self._unknown.popitem(last=False)
+        return []
+
+    def _begin(self, group: Group, captures: Captures) -> None:
+        try:
+            member = self._make(group, captures)
+        except FuselogError as error:  # what was compiled with other names before
+            raise AssertionError(error) from error
+        name = member.id
+        self._members[name] = member
+        self._ids[group, captures] = name
+        self._ended.pop(name, None)
+        self._forget_routes(group)
+
+    def _end(self, name: str) -> None:
+        member = self._members.pop(name)
+        member.finish()
+        self._ids = {identity: id for identity, id in self._ids.items() if id != name}
+        self._forget_routes(member.group)
+        self._ended[name] = member.snapshot
+        if len(self._ended) > _MOST_ENDED:
+            self._ended.popitem(last=False)
+
+    def _forget_routes(self, group: Group) -> None:
+        numbers = {n for n, (g, _) in enumerate(self._subscriptions) if g is group}
+        self._routes = {route: to for route, to in self._routes.items() if route[0] not in numbers}
+
+    def _expire(self, now: float) -> None:
+        for name, member in [*self._members.items()]:
+            if member.group.names and now - (member.last_arrival or now) > member.group.plan.config.fleet.expire:
+                self._end(name)
+
+    def _watch(self, now: float) -> None:
+        self._expire(now)
+        for member in self._members.values():
+            member.watch()
+        self._show()
+
+    def _look(self) -> None:
+        for name in self._stale & self._members.keys():
+            member = self._members[name]
+            member.look(self._shed_of(member))
+        self._stale.clear()
+        self._show()
+
+    def _shed_of(self, member: Member) -> list[int]:
+        shed = Counter[str]()
+        for (subscription, key), count in [*self.inbox.shed.items()]:
+            if self._subscriptions[subscription][0] is member.group:
+                shed[key] += count
+        return [shed[key] for key in member.keys]
+
+    def _show(self) -> None:
+        self.snapshots = {name: member.snapshot for name, member in self._members.items()}
+        self.ended = dict(self._ended)
+        self.unknown = Unknown(self._unknown_samples, dict(self._unknown))

@@ -1,12 +1,14 @@
-"""The live service: a filter on Zenoh and its health over HTTP, from start to an orderly end."""
+"""The live service: filters on Zenoh and their health over HTTP, from start to an orderly end."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from socket import socket
 
 from fuselog.fusion import Plan
-from fuselog.service.live.live_filter import LiveFilter, check_topics
-from fuselog.service.live.one_filter import OneFilter
+from fuselog.fusion.config import Problem
+from fuselog.service.live.fleet import Fleet
+from fuselog.service.live.group import make_group
+from fuselog.service.live.standby import Standby
 from fuselog.service.rest.app import create_app
 from fuselog.service.rest.http import HttpServer, allowed_hosts, bind, read_access, tls_context
 from fuselog.service.threads import Worker, WorkerError
@@ -14,34 +16,36 @@ from fuselog.service.transport import open_session, service_endpoints
 
 _CONNECT_S = 10.0
 _HTTP_S = 5.0  # for answers under way at the end
+_TEND_S = 1.0
+_SHARED = ("zenoh", "http")  # what a service has once: said in the first configuration
 
 
 def serve(
-    plan: Plan,
+    plans: Sequence[Plan],
     *,
     stop: threading.Event,
     started: Callable[[str], None],
     behind_proxy: bool = False,
     snapshot: threading.Event | None = None,
 ) -> None:
-    """Run until ``stop`` is set, then fuse and publish what has come so far.
+    """Run the filters of ``plans`` until ``stop`` is set, then fuse and publish what has come so far.
 
     ``started`` is called with the address for HTTP when all is compiled and connected. ``snapshot``, when set, asks
-    for one of the recording. ``behind_proxy``: HTTP comes from a proxy that has TLS. Raises ``ConfigError``,
+    for one of the recordings. ``behind_proxy``: HTTP comes from a proxy that has TLS. Raises ``ConfigError``,
     ``TransportError`` or ``HttpError`` when it cannot start, ``WorkerError`` when a part of it fails.
     """
-    http = plan.config.http
-    check_topics(plan)
-    access = read_access(http, plan.source, behind_proxy=behind_proxy)
-    tls = tls_context(http.tls, plan.source)
-    snapshot = snapshot or threading.Event()
+    first = plans[0]
+    http = first.config.http
+    _check_shared(plans)
+    groups = [make_group(plan) for plan in plans]
+    access = read_access(http, first.source, behind_proxy=behind_proxy)
+    tls = tls_context(http.tls, first.source)
     with bind(http.host, http.port) as listener:
-        served = OneFilter(snapshot)
-        filters = served.filters  # empty until ready
+        served = Standby()
         app = create_app(
             served,
-            alive=lambda: all(live.alive for live in filters.values()),
-            ready=lambda: bool(filters) and not stop.is_set(),
+            alive=lambda: served.alive,
+            ready=lambda: served.ready and not stop.is_set(),
             access=access,
             hosts=allowed_hosts(http),
             streams=http.streams,
@@ -49,16 +53,34 @@ def serve(
         server = HttpServer(app, listener, tls=tls)
         answering = Worker("HTTP server", server.run, stop.set)
         try:
-            with open_session(service_endpoints(plan.config.zenoh), timeout_s=_CONNECT_S) as session:
-                filters[plan.config.id] = live = LiveFilter(plan, session, ended=stop.set, snapshot=snapshot)
+            with open_session(service_endpoints(first.config.zenoh, first.source), timeout_s=_CONNECT_S) as session:
+                fleet = Fleet(groups, session, ended=stop.set, snapshot=snapshot)
+                served.fleet = fleet
                 started(_address(listener, "https" if tls else "http"))
-                stop.wait()
-                live.finish()
+                while not stop.wait(_TEND_S):
+                    fleet.tend()
+                fleet.finish()
         finally:
             server.stop()
             answering.join(_HTTP_S)
         if answering.error is not None:
             raise WorkerError(answering) from answering.error
+
+
+def _check_shared(plans: Sequence[Plan]) -> None:
+    """Raise ``ConfigError`` where configurations of one service contradict each other."""
+    seen: set[str] = set()
+    for plan in plans:
+        first, mine = plans[0].config, plan.config
+        other = [
+            name for name in _SHARED if name in mine.model_fields_set and getattr(mine, name) != getattr(first, name)
+        ]
+        problems = [Problem((name,), f"a service has one; {plans[0].source.name} says another") for name in other]
+        if plan.config.id in seen:
+            problems.append(Problem(("id",), f"another configuration of the service is called {plan.config.id!r}"))
+        seen.add(plan.config.id)
+        if problems:
+            raise plan.source.complain(problems)
 
 
 def _address(listener: socket, scheme: str) -> str:

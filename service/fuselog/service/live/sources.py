@@ -5,15 +5,23 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import zenoh
 
 from fuselog.schemas import Messages, pack
-from fuselog.service.live.inbox import Arrival
 from fuselog.service.wire import UNTAGGED, Tag, read_tag
 
 _MOST_SOURCES = 4096
 _ASK_AGAIN_NS = 2_000_000_000
 
 Identify = Callable[[str, str], int | str]
+
+
+class Numbered(NamedTuple):
+    """A sample, the number of its key, and when it came (ns)."""
+
+    key: int
+    sample: zenoh.Sample
+    arrival_ns: int
 
 
 class Progress(NamedTuple):
@@ -35,7 +43,7 @@ class _Source:
 
 
 class Sources:
-    """Knows every (key, type, publisher) that has sent anything; ``keys`` are numbered as the inbox numbers them.
+    """Knows every (key, type, publisher) that has sent anything; ``keys`` are numbered as ``Numbered`` numbers them.
 
     A sample whose type cannot be used is counted in ``unknown``, and ``reasons`` says why.
     """
@@ -48,7 +56,7 @@ class Sources:
         self._identify = identify
         self._sources: dict[tuple[int, str, bytes], _Source] = {}
 
-    def batch(self, arrivals: Sequence[Arrival]) -> Messages:
+    def batch(self, arrivals: Sequence[Numbered]) -> Messages:
         """The samples that can be used, in the order in which they came."""
         rows: list[tuple[int, int, int]] = []
         payloads: list[bytes] = []

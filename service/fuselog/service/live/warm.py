@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from fuselog.fusion import Filter, FixedLag, Outputs, Plan, Stream, compile_plan, parse_config
+from fuselog.fusion import Filter, Outputs, Plan, Stream, compile_plan, parse_config
+from fuselog.fusion.health import assess, no_samples
 from fuselog.fusion.intake import Intake
 from fuselog.schemas import CdrEncoder, Messages, definition, pack
 
@@ -18,10 +19,10 @@ sensors:
 def warm_up(plan: Plan) -> None:
     """Compile the kernels of a plan, or load them from the cache: no sample and no result waits for it later."""
     _decode_one()
-    track = Filter(plan, order="as_received").feed(_messages([]))
-    Outputs(plan).encode(track)
-    if plan.config.smooth is not None:
-        FixedLag(plan).warm_up()
+    filter = Filter(plan, order="as_received")
+    filter.warm_up()
+    Outputs(plan).encode(filter.feed(_messages([])))
+    assess(plan, estimate=filter.estimate, ledger=filter.ledger, recent=no_samples(plan), losses={})
 
 
 def _decode_one() -> None:

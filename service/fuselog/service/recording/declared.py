@@ -1,6 +1,5 @@
 """What is sent under a key: learned from the publisher, the key, the sample, the configuration, or else unknown."""
 
-import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -9,13 +8,10 @@ import zenoh
 from fuselog.fusion import Stream
 from fuselog.replay import Schema
 from fuselog.schemas import SchemaError, definition
+from fuselog.service.ros_keys import ros_key
 from fuselog.service.streams import announced, bridged_type
 from fuselog.service.wire import message_type
 
-# Topics of ROS 2 as rmw_zenoh has them in its keys: <domain>/<topic>/<pkg>::msg::dds_::<Type>_/<hash of the type>.
-_RMW_KEY = re.compile(
-    r"\d+/(?P<topic>.+)/(?P<package>\w+)::(?P<kind>msg|srv|action)::dds_::(?P<name>\w+)_/(?P<hash>\w+)"
-)
 OUTPUT = {"fuselog": "output"}  # in the metadata of a channel
 
 
@@ -26,22 +22,6 @@ class Declared(NamedTuple):
     schema: Schema
     encoding: str
     metadata: dict[str, str]
-
-
-class RosKey(NamedTuple):
-    """What a key of rmw_zenoh says."""
-
-    topic: str
-    type: str
-    hash: str
-
-
-def ros_key(key: str) -> RosKey | None:
-    """The parts of a key of rmw_zenoh, None for any other."""
-    match = _RMW_KEY.fullmatch(key)
-    if match is None:
-        return None
-    return RosKey(f"/{match['topic']}", f"{match['package']}/{match['kind']}/{match['name']}", match["hash"])
 
 
 def describe(session: zenoh.Session, types: Mapping[str, str], key: str, media: str) -> Declared:

@@ -6,9 +6,11 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 import zenoh
+from numpy.typing import NDArray
 
 from fuselog.fusion import Output
 from fuselog.replay import Schema
@@ -25,7 +27,17 @@ _GATHER_S = 0.02  # writing many messages at once costs little more than writing
 _TURN_S = 0.1
 _PROGRESS_S = 1.5
 
-Item = Sampled | Messages
+Topics = tuple[Output, ...]
+
+
+class Results(NamedTuple):
+    """Messages of a filter, whose streams are numbered as ``topics``."""
+
+    topics: Topics
+    messages: Messages
+
+
+Item = Sampled | Results
 
 
 class Recorder:
@@ -41,15 +53,13 @@ class Recorder:
         describe: Describe,
         *,
         selection: Selection,
-        outputs: Sequence[Output] = (),
         snapshot: threading.Event | None = None,
         ended: Callable[[], None] = lambda: None,
         capacity_bytes: int = 64 << 20,
     ) -> None:
         self._recording = recording
         self._streams = SampledStreams(recording, describe, selection)
-        self._outputs = [_declare(recording, output) for output in outputs]
-        self._output_topics = [output.topic for output in outputs]
+        self._outputs: dict[Topics, NDArray[np.int32]] = {}  # the channels of a filter's results
         self._spool: Spool[Item] = Spool(capacity_bytes=capacity_bytes)
         self._dropped: Counter[tuple[int, str]] = Counter()  # by subscription and key; outputs are of none, -1
         self._lock = threading.Lock()
@@ -74,11 +84,11 @@ class Recorder:
         if not self._spool.put(Sampled(subscription, sample), len(sample.payload)):
             self._drop({(subscription, str(sample.key_expr)): 1})
 
-    def put_outputs(self, messages: Messages) -> None:
-        """Take what ``Outputs.encode`` made; called on the thread of the filter."""
-        if len(messages) and not self._spool.put(messages, len(messages.data)):
+    def put_outputs(self, topics: Topics, messages: Messages) -> None:
+        """Take what ``Outputs.encode`` made of ``topics``; called on the thread of the filter."""
+        if len(messages) and not self._spool.put(Results(topics, messages), len(messages.data)):
             counts = np.bincount(messages.stream).tolist()
-            self._drop({(-1, topic): n for topic, n in zip(self._output_topics, counts, strict=False)})
+            self._drop({(-1, output.topic): n for output, n in zip(topics, counts, strict=False)})
 
     def progress(self, source: str) -> tuple[list[str], dict[str, Progress]]:
         """The keys of a publisher (hexadecimal) that are recorded, and how far each is, after all that has come."""
@@ -112,7 +122,7 @@ class Recorder:
         finishing = self._finishing
         arrived = self._spool.take(0.0 if finishing else _TURN_S)
         self._account()
-        for of_filter, several in groupby(arrived, lambda each: isinstance(each.item, Messages)):
+        for of_filter, several in groupby(arrived, lambda each: isinstance(each.item, Results)):
             self._write(list(several), of_filter=of_filter)
         if self._snapshot.is_set():
             self._snapshot.clear()
@@ -128,18 +138,21 @@ class Recorder:
 
     def _write(self, arrived: Sequence[Arrived[Item]], *, of_filter: bool) -> None:
         if of_filter:
-            for messages, arrival_ns in arrived:
-                assert isinstance(messages, Messages)
-                self._recording.write(self._numbered(messages, arrival_ns))
+            for results, arrival_ns in arrived:
+                assert isinstance(results, Results)
+                self._recording.write(self._numbered(results, arrival_ns))
         else:
             samples = [Arrived(item, arrival_ns) for item, arrival_ns in arrived if isinstance(item, Sampled)]
             self._recording.write(self._streams.messages(samples))
 
-    def _numbered(self, messages: Messages, arrival_ns: int) -> Messages:
+    def _numbered(self, results: Results, arrival_ns: int) -> Messages:
         """Results as messages of the recording's channels."""
+        topics, messages = results
+        if topics not in self._outputs:
+            self._outputs[topics] = np.array([_declare(self._recording, output) for output in topics], np.int32)
         return replace(
             messages,
-            stream=np.array(self._outputs, np.int32)[messages.stream],
+            stream=self._outputs[topics][messages.stream],
             log_time=np.full(len(messages), arrival_ns, np.int64),
         )
 

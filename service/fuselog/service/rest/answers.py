@@ -9,7 +9,7 @@ from fuselog.fusion.health import Health, Losses, SensorHealth
 from fuselog.fusion.ledger import Account
 from fuselog.fusion.report import estimate_json
 from fuselog.replay.recording import RecordingStatus
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 from fuselog.service.recording.record import status_json
 from fuselog.service.rest.plain import Number, by_name, many, model_of, plain
 
@@ -113,7 +113,7 @@ def health_plain(snapshot: Snapshot) -> dict[str, Any]:
     wrong = [f"{dropped} results not published: subscribers are too slow"] if dropped else []
     wrong += [] if recording is None else _recording_reasons(recording)
     health["reasons"] = [*wrong, *health["reasons"]]
-    if wrong and health["status"] not in ("diverged", "stale"):
+    if wrong and health["status"] == "healthy":
         health["status"] = "degraded"
     return {
         **health,

@@ -6,7 +6,7 @@ from typing import Literal, Protocol
 from fuselog.fusion import Estimate
 from fuselog.fusion.commands import Command
 from fuselog.replay.recording import RecordingStatus
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 
 
 class Served(Protocol):

@@ -1,0 +1,259 @@
+"""A service under load: robots with IMU 400, odometry 50, magnetometer 50 and GNSS 10 Hz, each with its own filter.
+
+    python benchmarks/live.py [--robots 10] [--seconds 60] [--requests 0] [--clients 0] [--flood]
+
+Publishers and the subscriber of all estimates are processes of their own. Latency is from right before ``put`` of a
+sample to the callback of the subscriber with its estimate: two ways over the network, and the service between them.
+``--requests`` asks for health so many times a second, ``--clients`` read the stream of events. ``--flood`` sends one
+stream as fast as it goes instead, and compares with a subscriber that only counts.
+"""
+
+import argparse
+import json
+import os
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import numpy as np
+
+from fuselog.schemas import CdrEncoder, definition
+from fuselog.service.transport import Endpoints, open_session
+from fuselog.service.wire import Tag, media_type, write_tag
+from fuselog.service.zenoh_door import Publisher, subscribe
+
+GOAL_MS, GOAL_CORES = 10.0, 1.0
+CONFIG = """\
+fuselog: 1
+model: {name: ins3d}
+lag: {window: 0.5 s}
+sensors:
+  imu:
+    topic: fleet/{robot}/imu
+    kind: input
+    noise: {roll_rate: 0.001, pitch_rate: 0.001, yaw_rate: 0.001, ax: 0.02, ay: 0.02, az: 0.02}
+  odom:
+    topic: fleet/{robot}/odom
+    fuse: [vx, vy]
+    noise: {vx: 0.1, vy: 0.1}
+  compass:
+    topic: fleet/{robot}/mag
+    kind: magnetometer
+    noise: {heading: 0.1}
+  fix:
+    topic: fleet/{robot}/fix
+    fuse: [x, y, z]
+    noise: {x: 0.5, y: 0.5, z: 1}
+output: {estimate: "fleet/{robot}/fused"}
+"""
+RATES = {"imu": 400, "odom": 50, "mag": 50, "fix": 10}
+TYPES = {
+    "imu": ("sensor_msgs/msg/Imu", {"linear_acceleration.z": 9.80665}),
+    "odom": ("nav_msgs/msg/Odometry", {"pose.pose.orientation.w": 1.0}),
+    "mag": ("sensor_msgs/msg/MagneticField", {"magnetic_field.x": 2e-5, "magnetic_field.z": -4e-5}),
+    "fix": ("sensor_msgs/msg/NavSatFix", {"latitude": 50.0, "longitude": 8.0, "altitude": 100.0}),
+}
+SLOT_NS = 250_000  # robots take turns
+BEGIN_S = 3  # filters begin: no latency of that time counts
+
+
+def payload(kind: str) -> tuple[bytearray, str]:
+    name, constants = TYPES[kind]
+    encoder = CdrEncoder(name, definition(name), columns=[], constants=constants)
+    data, _ = encoder.encode(np.zeros(1, np.int64), np.empty((1, 0)))
+    return bytearray(data.tobytes()), name
+
+
+def publish(endpoint: str, robots: int, seconds: float) -> None:
+    """Play the robots by the clock; stamps are the time of sending, so that an estimate says when its sample left."""
+    with open_session(Endpoints(connect=[endpoint]), timeout_s=30) as session:
+        publishers, messages = {}, {}
+        for kind in RATES:
+            data, name = payload(kind)
+            messages[kind] = data
+            for robot in range(robots):
+                publishers[robot, kind] = Publisher(session, f"fleet/r{robot}/{kind}", media_type("cdr", name))
+        time.sleep(1.0)
+        schedule = sorted(
+            (int(k * 1e9 / rate) + robot * SLOT_NS + slot * 20_000, robot, kind)
+            for slot, (kind, rate) in enumerate(RATES.items())
+            for robot in range(robots)
+            for k in range(round(seconds * rate))
+        )
+        numbers = dict.fromkeys(publishers, 0)
+        source, begin, late = b"a load generator", time.monotonic_ns(), 0
+        for due, robot, kind in schedule:
+            wait = begin + due - time.monotonic_ns()
+            if wait > 60_000:
+                time.sleep((wait - 50_000) / 1e9)
+            late = max(late, -wait)
+            numbers[robot, kind] += 1
+            now, data = time.time_ns(), messages[kind]
+            struct.pack_into("<II", data, 4, now // 10**9, now % 10**9)
+            tag = write_tag(Tag(numbers[robot, kind], now, source))
+            publishers[robot, kind].put(bytes(data), tag)
+        print(json.dumps({"sent": sum(numbers.values()), "late_ms": late / 1e6}), flush=True)
+        time.sleep(1.0)
+
+
+def listen(endpoint: str) -> None:
+    """Note when the estimate of each sample comes; ends with standard input."""
+    latencies: list[int] = []
+    stamps: list[int] = []
+
+    def take(sample) -> None:
+        second, nanosecond = struct.unpack_from("<II", sample.payload.to_bytes(), 4)
+        stamps.append(second * 10**9 + nanosecond)
+        latencies.append(time.time_ns() - stamps[-1])
+
+    with open_session(Endpoints(connect=[endpoint]), timeout_s=30) as session:
+        subscribe(session, "fleet/*/fused", take)
+        print("listening", flush=True)
+        sys.stdin.readline()
+    ms = np.array(latencies)[np.array(stamps) > stamps[0] + BEGIN_S * 10**9] / 1e6
+    figures = {"estimates": len(latencies), **{f"p{q}": float(np.percentile(ms, q)) for q in (50, 90, 99, 99.9)}}
+    print(json.dumps(figures), flush=True)
+
+
+def cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def ask(url: str, rate: float, stop: threading.Event, times: list[float]) -> None:
+    """Health of all filters, ``rate`` times a second, over one connection that is kept."""
+    import http.client  # noqa: PLC0415  only here
+
+    host = url.removeprefix("http://")
+    connection, due = http.client.HTTPConnection(host), time.monotonic()
+    while not stop.is_set():
+        begun = time.monotonic()
+        connection.request("GET", "/api/v1/filters/r0/health")
+        connection.getresponse().read()
+        times.append(time.monotonic() - begun)
+        due = max(due + 1 / rate, begun)
+        time.sleep(max(due - time.monotonic(), 0))
+
+
+def read_events(url: str, stop: threading.Event) -> None:
+    with urllib.request.urlopen(f"{url}/api/v1/stream?rate=2", timeout=10) as answer:
+        while not stop.is_set() and answer.readline():
+            pass
+
+
+def load(robots: int, seconds: float, requests: float, clients: int) -> None:
+    with tempfile.TemporaryDirectory() as folder, Service(Path(folder), CONFIG) as service:
+        here = [sys.executable, __file__, "--endpoint", service.endpoint]
+        listener = subprocess.Popen([*here, "--listen"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert listener.stdin is not None
+        assert listener.stdout is not None
+        listener.stdout.readline()
+        arguments = ["--robots", str(robots), "--seconds", str(seconds), "--publish"]
+        sender = subprocess.Popen([*here, *arguments], stdout=subprocess.PIPE, text=True)
+        stop, times = threading.Event(), list[float]()
+        workers = [threading.Thread(target=read_events, args=(service.url, stop)) for _ in range(clients)]
+        if requests:
+            workers += [threading.Thread(target=ask, args=(service.url, requests / 8, stop, times)) for _ in range(8)]
+        time.sleep(2.5)
+        for worker in workers:
+            worker.start()
+        before, begun = cpu_s(service.process.pid), time.monotonic()
+        time.sleep(max(seconds - 3, 1))
+        cores = (cpu_s(service.process.pid) - before) / (time.monotonic() - begun)
+        sent = json.loads(sender.communicate()[0])
+        stop.set()
+        time.sleep(0.5)
+        accounts = [service.get(f"/api/v1/filters/{f['id']}/health") for f in service.get("/api/v1/filters")["filters"]]
+        listener.stdin.write("\n")
+        listener.stdin.flush()
+        seen = json.loads(listener.communicate()[0])
+        report(robots, seconds, sent, seen, accounts, cores, times)
+
+
+def report(robots, seconds, sent, seen, accounts, cores, times) -> None:
+    sensors = [sensor for health in accounts for sensor in health["sensors"].values()]
+    received = sum(sensor["account"]["received"] for sensor in sensors)
+    lost = {name: sum(sensor["losses"][name] for sensor in sensors) for name in ("shed", "missed", "unknown")}
+    balanced = all(
+        (a := sensor["account"])["received"]
+        == sum(a[name] for name in ("fused", "gated", "late", "duplicate", "skipped", "pending"))
+        + sum(a["invalid"].values())
+        + a.get("disabled", 0)
+        for sensor in sensors
+    )
+    print(f"{robots} robots, {len(accounts)} filters, {seconds:g} s: {sent['sent']} samples sent", end=", ")
+    print(f"{sent['sent'] / seconds:.0f}/s; the sender was at most {sent['late_ms']:.1f} ms behind")
+    print(f"received {received}, {lost}, ledger {'exact' if balanced and received == sent['sent'] else 'WRONG'}")
+    quantiles = ", ".join(f"p{q:g} {seen[f'p{q:g}']:.2f}" for q in (50, 90, 99, 99.9))
+    print(f"{seen['estimates']} estimates; sample to estimate, ms: {quantiles} (goal p99 {GOAL_MS:g})")
+    print(f"the service used {cores:.2f} cores (goal {GOAL_CORES:g})")
+    if times:
+        ms = np.array(times) * 1e3
+        rate = len(times) / seconds
+        print(f"{rate:.0f} health requests/s, ms: p50 {np.median(ms):.1f}, p99 {np.percentile(ms, 99):.1f}")
+
+
+class Service:
+    """A ``fuselog serve`` with this configuration."""
+
+    def __init__(self, folder: Path, text: str) -> None:
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        port = free_port()
+        self.url = f"http://127.0.0.1:{port}"
+        self.config = folder / "live.yaml"
+        self.config.write_text(f"{text}zenoh: {{listen: [{self.endpoint}]}}\nhttp: {{port: {port}}}\n")
+
+    def __enter__(self) -> "Service":
+        command = [sys.executable, "-c", "from fuselog.service.cli import main; main()", "serve", str(self.config)]
+        self.process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        assert self.process.stderr is not None
+        ready = self.process.stderr.readline()
+        assert re.match("ready", ready), ready
+        return self
+
+    def get(self, path: str):
+        with urllib.request.urlopen(self.url + path, timeout=10) as answer:
+            return json.load(answer)
+
+    def __exit__(self, *_: object) -> None:
+        self.process.send_signal(signal.SIGTERM)
+        self.process.communicate(timeout=30)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", type=int, default=10)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--requests", type=float, default=0.0)
+    parser.add_argument("--clients", type=int, default=0)
+    parser.add_argument("--endpoint", help=argparse.SUPPRESS)
+    parser.add_argument("--publish", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--listen", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.publish:
+        publish(options.endpoint, options.robots, options.seconds)
+    elif options.listen:
+        listen(options.endpoint)
+    else:
+        load(options.robots, options.seconds, options.requests, options.clients)
+
+
+if __name__ == "__main__":
+    main()

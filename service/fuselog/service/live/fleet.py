@@ -1,0 +1,199 @@
+"""The filters of a service on a Zenoh session: subscriptions, threads, recordings, and their orderly end."""
+
+import re
+import secrets
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Literal, TypeVar
+
+import zenoh
+
+from fuselog.fusion import Estimate, load_plan
+from fuselog.fusion.commands import Command, CommandError, Configure
+from fuselog.replay.recording import RecordingStatus
+from fuselog.service.live.group import Group, make_group
+from fuselog.service.live.inbox import Inbox
+from fuselog.service.live.keys import ByPattern, Captures
+from fuselog.service.live.member import Member, Snapshot
+from fuselog.service.live.outbox import Outbox, Post
+from fuselog.service.live.runner import Runner, Unknown
+from fuselog.service.live.sources import Progress
+from fuselog.service.live.warm import warm_up
+from fuselog.service.progress import tell_progress
+from fuselog.service.recording.filter_recorder import FilterRecorder
+from fuselog.service.streams import Announcements, learn, stream_types
+from fuselog.service.threads import Worker, WorkerError
+from fuselog.service.zenoh_door import subscribe
+
+_PUBLISH_S = 10.0  # for what is left at the end
+_STUCK_S = 10.0  # a turn of the filters that takes longer is a failure of liveness
+_ANSWER_S = 2.0  # for a question to a filter
+_PROGRESS_S = 1.5
+
+T = TypeVar("T")
+
+
+class Fleet:
+    """Compiles the plans and fuses what comes on their topics, from construction to ``finish``.
+
+    ``ended`` is called when one of its threads is over, whatever the reason, but for those of recordings, which may
+    fail without harm; ``snapshot``, when set, asks them for a snapshot.
+    """
+
+    def __init__(
+        self,
+        groups: Sequence[Group],
+        session: zenoh.Session,
+        *,
+        ended: Callable[[], None],
+        snapshot: threading.Event | None = None,
+    ) -> None:
+        for group in groups:
+            warm_up(group.plan)
+        self._session, self._groups = session, groups
+        self._post, self._told = Post(), Announcements(session, outputs=True)
+        self._source = secrets.token_bytes(16)
+        asked = snapshot or threading.Event()
+        self._recorders = {group: recorder for group in groups if (recorder := _recorder(group, session, asked))}
+        self._runner = Runner(groups, Inbox(), self._make)
+        self._publishing = Worker("publisher", self._post.run, ended)
+        self._fusing = Worker("filter", self._runner.run, ended)
+        self._unsubscribe = [
+            subscribe(session, expression, partial(self._take, number, self._recorders.get(group)))
+            for number, (group, expression) in enumerate(self._runner.expressions)
+        ]
+        # Last, for a player takes the answer as a sign that all subscriptions have been announced before.
+        self._fall_silent = [
+            tell_progress(session, _plain(group.plan.config.id), partial(self._progress, group)) for group in groups
+        ]
+
+    @property
+    def alive(self) -> bool:
+        """Whether the filters turn and results leave; a filter that has diverged is alive."""
+        turns = time.monotonic() - self._runner.heartbeat < _STUCK_S
+        return turns and self._fusing.alive and self._publishing.alive
+
+    @property
+    def unknown(self) -> Unknown:
+        """Samples that belong to no filter."""
+        return self._runner.unknown
+
+    def snapshots(self) -> Mapping[str, Snapshot]:
+        """The filters as they were a moment ago."""
+        return {id: self._with_recording(id, snapshot) for id, snapshot in self._runner.snapshots.items()}
+
+    def ended(self) -> Mapping[str, Snapshot]:
+        """The last snapshot of filters that expired, or that ``finish`` ended."""
+        return self._runner.ended
+
+    def estimate_at(self, id: str, t_ns: int) -> Estimate:
+        """As ``Served``."""
+        return self._answer(id, lambda member: member.filter.estimate_at(t_ns))
+
+    def command(self, id: str, command: Command) -> None:
+        """As ``Served``."""
+        asked_ns = time.time_ns()
+        self._answer(id, lambda member: member.command(command, asked_ns))
+
+    def reload(self) -> list[str]:
+        """As ``Served``."""
+        fresh = [(group, make_group(load_plan(group.plan.source.name))) for group in self._groups]
+        for group, new in fresh:
+            if new.patterns != group.patterns or new.plan.config.id != group.plan.config.id:
+                raise CommandError(f"{group.plan.source.name}: id or topics are others; restart the service for that")
+        done: list[str] = []
+        for group, new in fresh:
+            if new.plan.source.text == group.plan.source.text:
+                continue
+            for id in [id for id in self._runner.snapshots if self._runner.group_of(id) is group]:
+                self.command(id, Configure(new.plan.source.text))
+                done.append(f"{id} goes on with {group.plan.source.name} as it is now")
+            group.plan = new.plan
+        return done or ["nothing has changed"]
+
+    def record(self, id: str, what: Literal["start", "stop", "snapshot"]) -> RecordingStatus:
+        """As ``Served``."""
+        recorder = self._recorders.get(self._runner.group_of(id))
+        if recorder is None:
+            raise CommandError("the configuration has no section record")
+        return recorder.command(what)
+
+    def tend(self) -> None:
+        """What is to be done now and then, and may wait for a disk; called on a thread that may."""
+        for recorder in self._recorders.values():
+            recorder.tend()
+
+    def finish(self) -> None:
+        """Take no more, fuse and publish what has come; raises ``WorkerError`` for a thread that failed."""
+        for silence in self._fall_silent:
+            silence()
+        for unsubscribe in self._unsubscribe:
+            unsubscribe()
+        self._runner.stop()
+        while not self._fusing.join(1.0):
+            pass
+        self._post.finish()
+        self._publishing.join(_PUBLISH_S)
+        for recorder in self._recorders.values():
+            recorder.finish()
+        for worker in (self._fusing, self._publishing):
+            if worker.error is not None:
+                raise WorkerError(worker) from worker.error
+
+    def _make(self, group: Group, captures: Captures) -> Member:
+        """A filter of a group, and what it publishes with; called on the thread of the filters."""
+        plan = group.plan_of(captures)
+        outbox = Outbox(self._session, self._post, self._told, plan, source=self._source)
+        recorder = self._recorders.get(group)
+        if recorder is not None:
+            outbox.record = partial(recorder.put_outputs, outbox.topics)
+        return Member(group, captures, plan, outbox, learn=partial(learn, self._session))
+
+    def _take(self, number: int, recorder: FilterRecorder | None, sample: zenoh.Sample) -> None:
+        """A sample on the network thread; recorded first, for the filter may hold it up."""
+        if recorder is not None:
+            recorder.put(sample)
+        self._runner.inbox.put(number, sample)
+
+    def _progress(self, group: Group, source: str) -> tuple[list[str], Mapping[str, Progress]]:
+        """The keys of a group that one publisher (hexadecimal) feeds, and how far each is, after all that has come."""
+
+        def look(members: Sequence[Member]) -> tuple[list[str], Mapping[str, Progress]]:
+            mine = [member for member in members if member.group is group]
+            counts = {key: n for member in mine for key, n in member.progress().get(source, {}).items()}
+            known = [key for member in mine for key in member.keys]
+            return (list(counts) if group.names else known), counts
+
+        try:
+            return self._runner.ask_all(look).result(_PROGRESS_S)
+        except TimeoutError:
+            return [], {}
+
+    def _answer(self, id: str, question: Callable[[Member], T]) -> T:
+        """What a filter answers, after all that has come; raises ``KeyError``, or ``CommandError`` when it is stuck."""
+        if id not in self._runner.snapshots:
+            raise KeyError(id)
+        try:
+            return self._runner.ask(id, question).result(_ANSWER_S)
+        except TimeoutError as error:
+            raise CommandError("the filter has not answered in time") from error
+
+    def _with_recording(self, id: str, snapshot: Snapshot) -> Snapshot:
+        recorder = self._recorders.get(self._runner.group_of(id))
+        return snapshot if recorder is None else replace(snapshot, recording=recorder.status)
+
+
+def _recorder(group: Group, session: zenoh.Session, snapshot: threading.Event) -> FilterRecorder | None:
+    settings = group.plan.config.record
+    if settings is None:
+        return None
+    types = stream_types({sensor.settings.topic: sensor.settings.type for sensor in group.plan.sensors})
+    return FilterRecorder(settings, session, ByPattern(types), snapshot)
+
+
+def _plain(id: str) -> str:
+    """An id as one part of a key of Zenoh."""
+    return re.sub(r"[^\w.-]", "_", id)

@@ -1,0 +1,72 @@
+"""The filters that one configuration makes: one, or one for each name that its topics capture."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from fuselog.fusion import Plan, compile_plan, parse_config
+from fuselog.fusion.config import Problem
+from fuselog.fusion.intake import Intake
+from fuselog.service.live.keys import Captures, KeyPattern, captured, fill
+from fuselog.service.transport import TransportError, key_of
+
+_DEFAULT_ID = "filter"
+
+
+@dataclass(eq=False)
+class Group:
+    """A configuration whose topics may hold captures such as ``{robot}``.
+
+    ``plan`` is compiled from it as it stands; a reload puts another there, for the filters that begin afterwards.
+    """
+
+    plan: Plan
+    patterns: tuple[KeyPattern, ...]
+    names: tuple[str, ...]  # of the captures; none where it makes one filter
+
+    def plan_of(self, captures: Captures) -> Plan:
+        """The plan of one of its filters."""
+        if not self.names:
+            return self.plan
+        plan = compile_plan(*parse_config(fill(self.plan.source.text, captures), name=self.plan.source.name))
+        return replace(plan, config=plan.config.model_copy(update={"id": self.id_of(captures)}))
+
+    def id_of(self, captures: Captures) -> str:
+        """What the filter is called."""
+        given = self.plan.config.id
+        if self.names and given == _DEFAULT_ID:
+            return "-".join(name for _, name in captures)
+        return fill(given, captures)
+
+
+def make_group(plan: Plan) -> Group:
+    """The group of a plan.
+
+    Raises ``ConfigError`` for topics that cannot be keys of Zenoh, and for what several filters would share.
+    """
+    places = {("sensors", sensor.name, "topic"): sensor.settings.topic for sensor in plan.sensors}
+    patterns = tuple(KeyPattern(topic) for topic in Intake(plan).topics)
+    names = captured(pattern.topic for pattern in patterns)
+    problems = list(_unusable(places | {("output", "estimate"): plan.config.output.estimate}))
+    for place, text in ((("output", "estimate"), plan.config.output.estimate), (("id",), plan.config.id)):
+        missing = [name for name in names if name not in captured([text])]
+        if missing and text != _DEFAULT_ID:
+            problems.append(Problem(place, f"all filters would have {text!r}: put {{{missing[0]}}} into it"))
+        strange = [name for name in captured([text]) if name not in names]
+        if strange:
+            problems.append(Problem(place, f"no topic captures {{{strange[0]}}}"))
+    for place, topic in places.items():
+        missing = [name for name in names if name not in captured([topic])]
+        if missing and captured([topic]):
+            problems.append(Problem(place, f"other topics capture {{{missing[0]}}} as well"))
+    if problems:
+        raise plan.source.complain(problems)
+    return Group(plan, patterns, names)
+
+
+def _unusable(topics: dict[tuple[str, ...], str]) -> Iterator[Problem]:
+    """The topics that cannot be keys."""
+    for place, topic in topics.items():
+        try:
+            key_of(fill(topic, tuple((name, "x") for name in captured([topic]))))
+        except TransportError as error:
+            yield Problem(place, str(error))

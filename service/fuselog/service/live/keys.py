@@ -1,0 +1,79 @@
+"""Topics that stand for many keys: ``fleet/{robot}/imu`` is one key for each robot."""
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from fuselog.fusion.intake import same_topic
+
+_CAPTURE = re.compile(r"\{([a-z_][a-z0-9_]*)\}")
+_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+
+Captures = tuple[tuple[str, str], ...]  # (name, what stands for it), in the order of the names
+
+
+@dataclass(frozen=True)
+class KeyPattern:
+    """A topic of the configuration as keys of Zenoh. A capture stands for a part of one chunk of a key."""
+
+    topic: str
+
+    @cached_property
+    def expression(self) -> str:
+        """All its keys, in Zenoh's own form."""
+        chunks = same_topic(self.topic).split("/")
+        return "/".join("*" if _CAPTURE.fullmatch(chunk) else _CAPTURE.sub("$*", chunk) for chunk in chunks)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The captures, in the order of the names."""
+        return tuple(sorted(set(_CAPTURE.findall(self.topic))))
+
+    def match(self, key: str) -> Captures | None:
+        """What stands for the captures in a key; None for a key that is no such one, or has an unusable name."""
+        match = self._regex.fullmatch(key)
+        if match is None or any(_NAME.fullmatch(name) is None for name in match.groups()):
+            return None
+        return tuple(sorted(match.groupdict().items()))
+
+    @cached_property
+    def _regex(self) -> re.Pattern[str]:
+        text, seen = "", set[str]()
+        for number, part in enumerate(_CAPTURE.split(same_topic(self.topic))):  # plain, name, plain, name, ...
+            if number % 2 == 0:
+                text += re.escape(part)
+            else:
+                text += f"(?P={part})" if part in seen else f"(?P<{part}>[^/]+)"
+                seen.add(part)
+        return re.compile(text)
+
+
+def captured(texts: Iterable[str]) -> tuple[str, ...]:
+    """The names of all captures in these texts."""
+    return tuple(sorted({name for text in texts for name in _CAPTURE.findall(text)}))
+
+
+def fill(text: str, captures: Captures) -> str:
+    """A text with what stands for its captures."""
+    values: Mapping[str, str] = dict(captures)
+    return _CAPTURE.sub(lambda match: values.get(match[1], match[0]), text)
+
+
+class ByPattern(Mapping[str, str]):
+    """What the configuration says of a topic, for every key of it."""
+
+    def __init__(self, of: Mapping[str, str]) -> None:
+        self._of = [(KeyPattern(topic), said) for topic, said in of.items()]
+
+    def __getitem__(self, key: str) -> str:
+        for pattern, said in self._of:
+            if pattern.match(key) is not None:
+                return said
+        raise KeyError(key)
+
+    def __iter__(self) -> Iterator[str]:
+        return (pattern.expression for pattern, _ in self._of)
+
+    def __len__(self) -> int:
+        return len(self._of)

@@ -1,0 +1,173 @@
+"""One filter of a service: samples in, results to its outbox, and a snapshot of it for whoever asks."""
+
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from fuselog.fusion import Estimate, Filter, Ledger, Outputs, Plan, Track, join_tracks
+from fuselog.fusion.commands import Command, Configure
+from fuselog.fusion.health import (
+    Health,
+    HealthChange,
+    HealthMemory,
+    Losses,
+    Recent,
+    health_message,
+    no_judgement,
+    no_samples,
+    remember,
+    watch,
+)
+from fuselog.fusion.intake import same_topic
+from fuselog.replay.recording import RecordingStatus
+from fuselog.schemas import FuselogError
+from fuselog.service.live.group import Group
+from fuselog.service.live.keys import Captures, fill
+from fuselog.service.live.outbox import Outbox
+from fuselog.service.live.sources import Numbered, Progress, Sources
+from fuselog.service.streams import Learn, Streams, stream_types
+
+_MOST_CHANGES = 1000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """A filter at one moment. Never changed, only replaced: who holds one may read it on any thread."""
+
+    plan: Plan
+    estimate: Estimate
+    ledger: Ledger
+    recent: Recent
+    health: Health  # as it was judged last, within a quarter of a second
+    changes: tuple[HealthChange, ...]  # of health, the last thousand; times by the clock of the machine
+    losses: dict[str, Losses]  # by key
+    progress: dict[str, dict[str, Progress]]  # by publisher and key
+    unpublished: int
+    last_arrival: float | None  # monotonic s
+    recording: RecordingStatus | None = None  # None: there is to be none
+
+
+class Member:
+    """A filter and what goes with it. All methods belong to the thread that owns the filters; ``snapshot`` to all."""
+
+    def __init__(self, group: Group, captures: Captures, plan: Plan, outbox: Outbox, *, learn: Learn) -> None:
+        self.group, self.outbox = group, outbox
+        self._captures = captures
+        self.filter = Filter(plan, order="as_received", compare=True)
+        self.keys = [same_topic(topic) for topic in self.filter.intake.topics]
+        self.last_arrival: float | None = None  # monotonic s
+        self._outputs = Outputs(plan)
+        types = {sensor.settings.topic: sensor.settings.type for sensor in plan.sensors}
+        streams = Streams(self.filter.intake, stream_types(types), learn)
+        self._sources = Sources(self.keys, streams.identify)
+        self._recent = no_samples(plan)
+        self._tracks: list[Track] = []  # since the last look
+        self._shed = [0] * len(self.keys)
+        self._memory: HealthMemory = no_judgement()
+        self._changes: deque[HealthChange] = deque(maxlen=_MOST_CHANGES)
+        self._shown: tuple[HealthChange, ...] = ()
+        self._health = self._judge()
+        self.snapshot = self._look()
+
+    @property
+    def id(self) -> str:
+        """What the filter is called."""
+        return self.filter.plan.config.id
+
+    def feed(self, arrivals: Sequence[Numbered]) -> None:
+        """Fuse samples of ``keys``, by their numbers, and give the results away."""
+        self.last_arrival = time.monotonic()
+        self._give(self.filter.feed(self._sources.batch(arrivals)))
+
+    def command(self, command: Command, asked_ns: int) -> None:
+        """Follow a command asked for at ``asked_ns``; raises ``CommandError`` or ``ConfigError`` where it cannot.
+
+        What became of it is published either way.
+        """
+        if isinstance(command, Configure):
+            command = Configure(fill(command.text, self._captures))
+        try:
+            self._give(self.filter.command(command, asked_ns))
+        except FuselogError:
+            self._give(self.filter.feed(self._sources.batch([])))
+            raise
+
+    def look(self, shed: Sequence[int]) -> None:
+        """Renew the snapshot; ``shed``: samples of each key that were not let in."""
+        self._shed = list(shed)
+        self.snapshot = self._look()
+
+    def watch(self) -> None:
+        """Judge the health anew and publish it; to be called at least twice a second."""
+        self._judge()
+        payload = health_message(self._health, filter_id=self.id, frame=self.filter.plan.config.output.frame)
+        self.outbox.tell_health(payload, self._health.t_ns or 0)
+        self.snapshot = self._look()
+
+    def finish(self) -> None:
+        """Give away what was held back."""
+        self._give(self.filter.finish())
+        self.outbox.offer(self._outputs.finish())
+        self._judge()
+        self.outbox.close()
+        self.snapshot = self._look()
+
+    def progress(self) -> dict[str, dict[str, Progress]]:
+        """By publisher and key, exact."""
+        return self._sources.progress()
+
+    def _give(self, track: Track) -> None:
+        self._tracks.append(track)
+        self.outbox.offer(self._outputs.encode(track, self.filter.beside()))
+
+    def _remember(self) -> None:
+        if self._tracks:
+            self._recent = remember(self._recent, join_tracks(self._tracks))
+            self._tracks.clear()
+
+    def _judge(self) -> Health:
+        """The health now; what it changed goes to the changes that are shown."""
+        self._remember()
+        plan = self.filter.plan
+        self._memory = watch(
+            self._memory,
+            plan,
+            now_ns=time.monotonic_ns(),
+            estimate=self.filter.estimate,
+            ledger=self.filter.ledger,
+            recent=self._recent,
+            losses=self._losses(),
+            optimality_ratio=self.filter.optimality_ratio,
+            disabled=[sensor.name for sensor in plan.sensors if not sensor.settings.enabled],
+        )
+        assert self._memory.health is not None
+        if self._memory.changes:
+            wall_ns = time.time_ns() - time.monotonic_ns()
+            self._changes.extend(change._replace(t_ns=change.t_ns + wall_ns) for change in self._memory.changes)
+            self._shown = tuple(self._changes)
+        self._health = self._memory.health
+        return self._health
+
+    def _look(self) -> Snapshot:
+        self._remember()
+        return Snapshot(
+            plan=self.filter.plan,
+            estimate=self.filter.estimate,
+            ledger=self.filter.ledger,
+            recent=self._recent,
+            health=self._health,
+            changes=self._shown,
+            losses=self._losses(),
+            progress=self._sources.progress(),
+            unpublished=self.outbox.dropped,
+            last_arrival=self.last_arrival,
+        )
+
+    def _losses(self) -> dict[str, Losses]:
+        """Samples that were shed show as gaps in the numbering too; they are counted once."""
+        sources = self._sources
+        columns = zip(self.keys, self._shed, sources.missed, sources.unknown, sources.reasons, strict=True)
+        return {
+            key: Losses(shed, max(missed - shed, 0), unknown, reason) for key, shed, missed, unknown, reason in columns
+        }

@@ -1,0 +1,56 @@
+"""The fleet as the REST interface sees it, from before it is there."""
+
+from collections.abc import Mapping
+from typing import Literal
+
+from fuselog.fusion import Estimate
+from fuselog.fusion.commands import Command
+from fuselog.replay.recording import RecordingStatus
+from fuselog.service.live.fleet import Fleet
+from fuselog.service.live.member import Snapshot
+
+
+class Standby:
+    """``Served`` of no filters, until ``begin``."""
+
+    def __init__(self) -> None:
+        self.fleet: Fleet | None = None
+
+    @property
+    def ready(self) -> bool:
+        """Whether all is compiled and connected."""
+        return self.fleet is not None
+
+    @property
+    def alive(self) -> bool:
+        """Whether the filters turn; before there are any, nothing is stuck."""
+        return self.fleet is None or self.fleet.alive
+
+    def snapshots(self) -> Mapping[str, Snapshot]:
+        """The newest of each filter."""
+        return {} if self.fleet is None else self.fleet.snapshots()
+
+    def ended(self) -> Mapping[str, Snapshot]:
+        """The last of each that is gone."""
+        return {} if self.fleet is None else self.fleet.ended()
+
+    def estimate_at(self, id: str, t_ns: int) -> Estimate:
+        """As ``Served``."""
+        return self._fleet(id).estimate_at(id, t_ns)
+
+    def command(self, id: str, command: Command) -> None:
+        """As ``Served``."""
+        self._fleet(id).command(id, command)
+
+    def reload(self) -> list[str]:
+        """As ``Served``."""
+        return [] if self.fleet is None else self.fleet.reload()
+
+    def record(self, id: str, what: Literal["start", "stop", "snapshot"]) -> RecordingStatus:
+        """As ``Served``."""
+        return self._fleet(id).record(id, what)
+
+    def _fleet(self, id: str) -> Fleet:
+        if self.fleet is None:
+            raise KeyError(id)
+        return self.fleet
