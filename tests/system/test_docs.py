@@ -2,7 +2,6 @@
 
 import re
 import shlex
-import threading
 from pathlib import Path
 
 import pytest
@@ -156,7 +155,7 @@ def test_python_runs(page, tmp_path, monkeypatch, capsys):
 
 
 def test_every_path_of_the_interface_is_documented():
-    served = Standby())
+    served = Standby()
     app = create_app(served, alive=lambda: True, ready=lambda: True)
     text = (DOCS / "http.md").read_text()
     for path, operations in app.openapi()["paths"].items():

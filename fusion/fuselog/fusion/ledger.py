@@ -57,5 +57,5 @@ def sum_accounts(ledger: Ledger) -> Account:
     """One account for all sensors."""
     accounts = list(ledger.values())
     invalid = {reason: sum(a.invalid[reason] for a in accounts) for reason in accounts[0].invalid} if accounts else {}
-    columns = ("received", "fused", "gated", "late", "duplicate", "skipped", "pending")
+    columns = ("received", "fused", "gated", "late", "duplicate", "skipped", "disabled", "pending")
     return Account(invalid=invalid, **{name: sum(getattr(a, name) for a in accounts) for name in columns})

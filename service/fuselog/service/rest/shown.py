@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import orjson
 
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 from fuselog.service.rest.answers import filter_plain, health_plain, state_plain
 from fuselog.service.rest.plain import plain
 from fuselog.service.rest.problems import Refused
@@ -96,11 +96,17 @@ class Shown:
         now, known = self._clock(), self._health.get(id)
         if known is None or now - known.at >= FRESH_S:
             value = health_plain(snapshot)
-            known = self._health[id] = Health(value, now, mark_of(orjson.dumps(value)))
+            known = self._health[id] = Health(value, now, mark_of(orjson.dumps(_lasting(value))))
             there = self.served.snapshots().keys() | self.served.ended().keys()
             if len(self._health) > len(there):
                 self._health = {id: health for id, health in self._health.items() if id in there}
         return known
+
+
+def _lasting(health: dict[str, Any]) -> dict[str, Any]:
+    """Health without the times that go on by themselves."""
+    sensors = {name: {**sensor, "idle_s": None} for name, sensor in health["sensors"].items()}
+    return {**health, "sensors": sensors, "idle_s": None}
 
 
 def mark_of(content: bytes) -> str:
