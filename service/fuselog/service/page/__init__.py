@@ -1,0 +1,1 @@
+"""The status page: what an operator looks at, served from the wheel."""
