@@ -18,10 +18,10 @@ from fastapi import FastAPI
 
 from fuselog.fusion import Estimate, Filter, Plan, Stream, compile_plan, parse_config
 from fuselog.fusion.commands import Command, CommandError, Configure, Reset, SetState
-from fuselog.fusion.health import Recent, no_samples, remember
+from fuselog.fusion.health import Recent, assess, no_samples, remember
 from fuselog.replay.recording import Recording, RecordingStatus, RecordOptions
 from fuselog.schemas import CdrEncoder, Messages, definition, pack
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 from fuselog.service.rest.app import create_app
 from fuselog.service.rest.auth import Access, Token
 from fuselog.service.rest.http import HttpServer, bind
@@ -165,14 +165,15 @@ class Robot:
             "estimate": self._filter.estimate,
             "ledger": self._filter.ledger,
             "recent": self._recent,
-            "optimality_ratio": None,
             "losses": {},
             "progress": {},
             "unpublished": 0,
             "last_arrival": self._arrival,
             "recording": None if self._recording is None else self._recording.status(),
         }
-        return Snapshot(**{**known, **self.fields})
+        known |= self.fields
+        looked = {name: known[name] for name in ("estimate", "ledger", "recent", "losses")}
+        return Snapshot(**{"health": assess(self.plan, **looked), "changes": (), **known})
 
 
 @dataclass(frozen=True)

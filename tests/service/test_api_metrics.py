@@ -8,7 +8,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from fuselog.fusion.health import Losses
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 from fuselog.service.rest.metrics import MOST_LABELS, bounded
 
 from .conftest import ROBOT, Client, Robot

@@ -1,6 +1,6 @@
 """What the REST interface answers, as types that its OpenAPI document shows."""
 
-from typing import Any, Literal, get_type_hints
+from typing import Any, Literal
 
 from pydantic import BaseModel, Field, create_model
 
@@ -65,7 +65,10 @@ class RecordingAnswer(BaseModel):
 
 SensorAnswer = model_of(SensorHealth)
 FilterAnswer = create_model(
-    "FilterAnswer", __base__=_Filter, __doc__=_Filter.__doc__, status=(get_type_hints(Health)["status"], ...)
+    "FilterAnswer",
+    __base__=_Filter,
+    __doc__=_Filter.__doc__,
+    status=(model_of(Health).model_fields["status"].annotation, ...),
 )
 FiltersAnswer = create_model("FiltersAnswer", __doc__="All filters.", filters=(many(FilterAnswer), ...))
 HealthAnswer = create_model(

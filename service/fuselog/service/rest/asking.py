@@ -14,10 +14,9 @@ _LEAST_NS, _MOST_NS = 0, 2**63 - 1
 _RFC3339 = re.compile(r"(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?([Zz]|[+-]\d\d:\d\d)")
 _TIME = r"^([0-9]{1,19}|[0-9]{4}-[0-9]{2}-[0-9]{2}[Tt ][0-9:]{8}(\.[0-9]{1,9})?([Zz]|[+-][0-9]{2}:[0-9]{2}))$"
 
-FilterId = Annotated[str, Path(pattern=r"^[A-Za-z0-9_.-]{1,64}$", description="as the list of filters says")]
-SensorName = Annotated[
-    str, Path(pattern=r"^[^/\\\x00-\x1f\x7f]{1,64}$", description="as the configuration calls it", examples=["imu"])
-]
+_NAME = r"^[^/\\\x00-\x1f\x7f]{1,128}$"
+FilterId = Annotated[str, Path(pattern=_NAME, description="as the list of filters says")]
+SensorName = Annotated[str, Path(pattern=_NAME, description="as the configuration calls it")]
 Sequence = Annotated[int, Path(ge=0, le=_MOST_NS, description="of the sample, as the list of decisions says")]
 Time = Annotated[str | None, Query(pattern=_TIME, max_length=40, description="ns since 1970, or RFC 3339")]
 Before = Annotated[

@@ -11,7 +11,7 @@ from fuselog.fusion.commands import Command, CommandError, Configure, Reset, Set
 from fuselog.fusion.config import GainSettings, Source, did_you_mean
 from fuselog.fusion.config.settings import Settings
 from fuselog.schemas import ConfigError
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 from fuselog.service.rest.answers import Done, RecordingAnswer, recording_plain
 from fuselog.service.rest.asking import FilterId, SensorName, answer
 from fuselog.service.rest.config_text import with_enabled, with_gain

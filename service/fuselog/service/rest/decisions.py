@@ -11,7 +11,7 @@ from fuselog.fusion import Decision
 from fuselog.fusion.gate import chi_square_quantile
 from fuselog.fusion.health import Window
 from fuselog.fusion.plan import SensorPlan
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 from fuselog.service.rest.plain import Number, plain
 from fuselog.service.rest.problems import Refused
 

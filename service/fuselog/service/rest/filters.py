@@ -195,7 +195,7 @@ def _add_samples(app: FastAPI, shown: Shown) -> None:
     )
     async def filter_decisions(  # pyright: ignore[reportUnusedFunction]  the same
         id: FilterId,
-        sensor: Annotated[str | None, Query(max_length=64, description="only of this sensor")] = None,
+        sensor: Annotated[str | None, Query(max_length=128, description="only of this sensor")] = None,
         decision: Annotated[str | None, Query(pattern=f"^({_DECISIONS})$", description="only those with it")] = None,
         limit: Annotated[int, Query(ge=1, le=1000, description="most on a page")] = 100,
         before: Before = None,

@@ -121,7 +121,7 @@ def _terms(account: Mapping[str, Any]) -> Iterator[tuple[str, int]]:
     for term, value in account.items():
         if isinstance(value, Mapping):
             yield from ((f"{term}_{reason}", int(each)) for reason, each in value.items())  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]  counters by reason
-        elif term not in ("received", "pending"):
+        elif term not in ("received", "pending") and not isinstance(value, bool):
             yield term, int(value)
 
 

@@ -39,10 +39,10 @@ def plain(value: Any) -> Any:
 
 @cache
 def model_of(kind: type) -> type[BaseModel]:
-    """The model of what ``plain`` makes of a dataclass or named tuple."""
-    hints = get_type_hints(kind) | {
-        name: get_type_hints(found.fget)["return"] for name, found in vars(kind).items() if isinstance(found, property)
-    }
+    """The model of what ``plain`` makes of a dataclass or named tuple: its fields and its properties."""
+    hints = get_type_hints(kind)
+    for name in _properties(kind):
+        hints[name] = get_type_hints(getattr(kind, name).fget)["return"]
     members: dict[str, Any] = {name: (_type(hints[name]), ...) for name in _names(kind)}
     return create_model(kind.__name__, __doc__=kind.__doc__, __module__=kind.__module__, **members)
 
@@ -64,11 +64,13 @@ def _as_type(model: type[BaseModel]) -> Any:
 
 @cache
 def _names(kind: type) -> tuple[str, ...]:
-    """The names of what is in a dataclass, its properties too, or in a named tuple; none of another type."""
-    if not is_dataclass(kind):
-        return getattr(kind, "_fields", ())  # pyright: ignore[reportUnknownArgumentType]  narrowed to nothing known
-    properties = (name for name, found in vars(kind).items() if isinstance(found, property))
-    return (*(field.name for field in fields(kind)), *properties)
+    """What is in a dataclass or named tuple, and what it says of itself; none of another type."""
+    own = tuple(field.name for field in fields(kind)) if is_dataclass(kind) else getattr(kind, "_fields", ())  # pyright: ignore[reportUnknownArgumentType]  narrowed to nothing known
+    return (*own, *_properties(kind)) if own else ()
+
+
+def _properties(kind: type) -> tuple[str, ...]:
+    return tuple(name for name, each in vars(kind).items() if isinstance(each, property) and not name.startswith("_"))
 
 
 def _type(hint: Any) -> Any:

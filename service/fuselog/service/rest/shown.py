@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import orjson
 
-from fuselog.service.live.runner import Snapshot
+from fuselog.service.live.member import Snapshot
 from fuselog.service.rest.answers import filter_plain, health_plain, state_plain
 from fuselog.service.rest.plain import plain
 from fuselog.service.rest.problems import Refused
@@ -15,6 +15,10 @@ from fuselog.service.rest.served import Served
 
 FRESH_S = 0.2  # how old the health that is shown may be
 _TOLD_S = 0.05  # and an event of the stream, which has up to ten in a second
+
+
+_MOST_CHANGES = 50  # of health in an event
+_COLUMNS = ("stamp_ns", "arrival_ns", "seq", "decision", "nis", "dof", "innovation", "variance")
 
 
 class Health(NamedTuple):
@@ -85,18 +89,24 @@ class Shown:
         return {
             "health": health,
             "state": state_plain(snapshot.plan, snapshot.estimate),
-            "changes": health.get("changes", []),
+            "changes": plain(getattr(snapshot, "changes", ())[-_MOST_CHANGES:]),
         }
 
     def _health_of(self, id: str, snapshot: Snapshot) -> Health:
         now, known = self._clock(), self._health.get(id)
         if known is None or now - known.at >= FRESH_S:
             value = health_plain(snapshot)
-            known = self._health[id] = Health(value, now, mark_of(orjson.dumps(value)))
+            known = self._health[id] = Health(value, now, mark_of(orjson.dumps(_lasting(value))))
             there = self.served.snapshots().keys() | self.served.ended().keys()
             if len(self._health) > len(there):
                 self._health = {id: health for id, health in self._health.items() if id in there}
         return known
+
+
+def _lasting(health: dict[str, Any]) -> dict[str, Any]:
+    """Health without the times that go on by themselves."""
+    sensors = {name: {**sensor, "idle_s": None} for name, sensor in health["sensors"].items()}
+    return {**health, "sensors": sensors, "idle_s": None}
 
 
 def mark_of(content: bytes) -> str:
@@ -106,5 +116,7 @@ def mark_of(content: bytes) -> str:
 
 def whole(snapshot: Snapshot) -> dict[str, Any]:
     """Everything of a snapshot but its configuration, for a report of a defect."""
-    names = (name for name in Snapshot.__slots__ if name != "plan")
-    return {name: plain(getattr(snapshot, name)) for name in names}
+    names = (name for name in Snapshot.__slots__ if name not in ("plan", "recent"))
+    sensors = zip(snapshot.plan.sensors, snapshot.recent, strict=True)
+    recent = {s.name: {column: plain(getattr(window, column)) for column in _COLUMNS} for s, window in sensors}
+    return {**{name: plain(getattr(snapshot, name)) for name in names}, "recent": recent}
