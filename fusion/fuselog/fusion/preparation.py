@@ -9,6 +9,7 @@ from fuselog.fusion.commands import Command, CommandError, Configure, Reset, Set
 from fuselog.fusion.events import Decision, Events, blank_events
 from fuselog.fusion.intake import ClockGuard, Intake, StampOrder
 from fuselog.fusion.intake.intake import Floats
+from fuselog.fusion.kept import take_whole
 from fuselog.fusion.kernel.tables import NEVER
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.sealed import Tree
@@ -106,7 +107,7 @@ class Preparation:
         """Become what another with the same plan was; raises as ``Intake.load``."""
         self.intake.load(tree["intake"])
         self._clock.load(tree["clock"])
-        self.after_ns, self._floor = int(tree["after_ns"]), int(tree["floor"])
+        self.after_ns, self._floor = take_whole(tree["after_ns"]), take_whole(tree["floor"])
         for order, kept in ((self._order, tree["order"]), (self._settling, tree["settling"])):
             if order is not None:
                 order.load(kept, self._plan.tables)
