@@ -298,3 +298,22 @@ def test_a_disabled_sensor_is_counted_and_not_used() -> None:
     alone = opened("point", topics, "as_received")
     only = alone.feed(messages.take(np.flatnonzero(messages.stream != 2)))
     assert track.x[track.of("one")].tobytes() == only.x.tobytes()
+
+
+@pytest.mark.parametrize(
+    "text", ["\0: 1", "\ud800: 1", "[" * 5000, "a: !!int x", "fuselog: 2001-99-99T00:00:00Z", "sensors: &x {a: *x}", ""]
+)
+def test_text_that_is_no_configuration_is_refused_and_published(text: str) -> None:
+    filter = opened("point", drive("point")[0], "as_received")
+    with pytest.raises(CommandError):
+        filter.command(Configure(text))
+    written = Written(filter.plan)
+    written.add(filter.finish(), filter.beside())
+    assert written.finish()["fused/odom/command"]
+
+
+def test_states_whose_names_are_no_text() -> None:
+    filter = opened("point", drive("point")[0], "as_received")
+    with pytest.raises(CommandError):
+        filter.command(SetState({"\ud800": 1.0}, {}))
+    Written(filter.plan).add(filter.finish(), filter.beside())
