@@ -42,7 +42,7 @@ class Preparation:
 
     def __init__(self, plan: Plan, *, hold: bool, settle: bool) -> None:
         self.intake = Intake(plan)
-        self.after_ns = 0  # when the last message was received
+        self.after_ns = 0  # the latest time at which a message was received
         self._plan = plan
         self._clock = _clock(plan)
         self._order = _order(plan) if hold else None
@@ -54,7 +54,7 @@ class Preparation:
         """A batch of messages, in the order of arrival."""
         events, levers = self.intake.take(messages)
         if len(messages):
-            self.after_ns = int(messages.log_time[-1])
+            self.after_ns = max(self.after_ns, int(messages.log_time.max()))
         self._clock.mark(events)
         if self._floor != NEVER:
             late = (events.fault == Decision.FUSED) & (events.t_ns < self._floor)
