@@ -5,8 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from tests.fusion.runs import BEGIN, CASES, Written, drive, merged, opened, plan_of, remembered, run
+from tests.fusion.runs import BEGIN, CASES, MS, Written, drive, merged, opened, plan_of, remembered, run
 from tests.fusion.setups import make_plan, put
+from tests.logs import messages_of, position
 
 from fuselog.fusion import (
     CheckpointError,
@@ -99,6 +100,19 @@ def test_reset_is_a_new_filter_that_has_counted() -> None:
     assert track.P.tobytes() == fresh.P.tobytes()
     assert track.seq[0] == np.count_nonzero(before.sensor == track.sensor[0])
     assert sum(account.received for account in filter.ledger.values()) == len(messages)
+
+
+def test_after_a_reset_a_stamp_may_be_any() -> None:
+    """A clock that was an hour ahead, and is put right, does not make everything late for an hour."""
+    stamps = BEGIN + np.arange(20) * 10 * MS
+    ahead, right = (position(stamps + shift, x=1.0, y=2.0, topic="/one") for shift in (3_600_000 * MS, 0))
+    late, reset = opened("point", [ahead], "as_received"), opened("point", [ahead], "as_received")
+    for filter in (late, reset):
+        filter.feed(messages_of([ahead]))
+    reset.command(Reset())
+    assert set(late.feed(messages_of([right])).decision) == {Decision.LATE}
+    assert set(reset.feed(messages_of([right])).decision) == {Decision.FUSED}
+    assert reset.estimate.t_ns == stamps[-1]
 
 
 def test_set_state_and_what_it_leaves() -> None:
@@ -298,3 +312,22 @@ def test_a_disabled_sensor_is_counted_and_not_used() -> None:
     alone = opened("point", topics, "as_received")
     only = alone.feed(messages.take(np.flatnonzero(messages.stream != 2)))
     assert track.x[track.of("one")].tobytes() == only.x.tobytes()
+
+
+@pytest.mark.parametrize(
+    "text", ["\0: 1", "\ud800: 1", "[" * 5000, "a: !!int x", "fuselog: 2001-99-99T00:00:00Z", "sensors: &x {a: *x}", ""]
+)
+def test_text_that_is_no_configuration_is_refused_and_published(text: str) -> None:
+    filter = opened("point", drive("point")[0], "as_received")
+    with pytest.raises(CommandError):
+        filter.command(Configure(text))
+    written = Written(filter.plan)
+    written.add(filter.finish(), filter.beside())
+    assert written.finish()["fused/odom/command"]
+
+
+def test_states_whose_names_are_no_text() -> None:
+    filter = opened("point", drive("point")[0], "as_received")
+    with pytest.raises(CommandError):
+        filter.command(SetState({"\ud800": 1.0}, {}))
+    Written(filter.plan).add(filter.finish(), filter.beside())

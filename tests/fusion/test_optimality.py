@@ -41,7 +41,7 @@ def test_what_a_gain_costs(gain: float) -> None:
     plan = walk(gain)
     engine, shadow, events = Engine(plan), Shadow(plan), events_of(plan, samples(20_000))
     track = engine.advance(events)
-    shadow.advance(events)
+    shadow.engine.advance(events)
     fixed = ((1 - gain) ** 2 * Q + gain**2 * R) / (1 - (1 - gain) ** 2)
     assert shadow.ratio(engine.estimate) == pytest.approx(fixed / (K * R), rel=1e-9)
     prior = fixed + Q

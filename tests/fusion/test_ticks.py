@@ -7,6 +7,7 @@ from tests.fusion.setups import make_plan
 from tests.logs import messages_of, position
 
 from fuselog.fusion import Engine, Outputs, SetState
+from fuselog.schemas import ConfigError
 
 TICK_MS = 20  # of the case "smoothed"
 
@@ -84,3 +85,10 @@ def test_ticks_end_in_a_long_silence() -> None:
 def test_ticks_are_not_there_by_default() -> None:
     names = [output.topic for output in Outputs(plan_of("point")).topics]
     assert names == ["fused/odom", "fused/odom/decision", "fused/odom/command"]
+
+
+def test_a_model_of_fixed_steps_has_no_ticks() -> None:
+    model = {"name": "linear", "states": {"p": "m"}, "step": 0.1, "F": [[1]], "Q": [[1]]}
+    sensor = {"topic": "/p", "fuse": ["p"], "fields": {"p": "data"}, "noise": {"p": 0.1}}
+    with pytest.raises(ConfigError, match=r"output\.ticks: a model of fixed steps"):
+        make_plan({"model": model, "sensors": {"p": sensor}, "output": {"ticks": 10}})

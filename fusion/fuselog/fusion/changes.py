@@ -7,7 +7,7 @@ from typing import Any, cast
 from fuselog.fusion.commands import CommandError, SetState
 from fuselog.fusion.config import Config, did_you_mean, parse_config
 from fuselog.fusion.plan import Plan, compile_plan
-from fuselog.schemas import ConfigError
+from fuselog.schemas import ConfigError, FuselogError
 
 _TUNED_MODEL = ("process_noise", "adapt", "Q", "Qc")
 _FIXED_GAIN = ("cycle", "covariance")
@@ -47,8 +47,12 @@ def changed_plan(plan: Plan, text: str) -> Plan:
         if differs:
             raise CommandError(f"the filter must be started anew to change {', '.join(differs)}")
         after = compile_plan(config, source)
+    except CommandError:
+        raise
     except ConfigError as error:
         raise CommandError("; ".join(error.problems)) from error
+    except (FuselogError, RecursionError) as error:
+        raise CommandError(str(error)) from error
     if after.states != plan.states:
         raise CommandError("the filter must be started anew for other states")
     return after

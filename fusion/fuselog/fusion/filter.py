@@ -56,6 +56,7 @@ class Filter:
         self.plan = plan  # of what was applied
         self.order: Order = order
         self.compare = compare
+        self._about = _about(plan, order, compare=compare)
         output, live = plan.config.output, order == "as_received"
         self._window_ns = None if live else 0
         settles = plan.config.smooth is not None or (output.settled and live)
@@ -153,14 +154,14 @@ class Filter:
             "smoother": None if self._smoother is None else self._smoother.save(),
             "ticks": None if self._ticks is None else self._ticks.newest,
         }
-        return seal(self._about(), {"ahead": self._ahead.save(), **followers})
+        return seal(self._about, {"ahead": self._ahead.save(), **followers})
 
     def restore(self, data: bytes) -> None:
         """Go on where a checkpoint was made; raises ``CheckpointError``, and stays as it is, for one that is not sound.
 
         The streams that were open are open again, under their numbers: ``intake.streams``.
         """
-        tree = unseal(data, self._about())
+        tree = unseal(data, self._about)
         try:
             Filter(self.plan, order=self.order, compare=self.compare)._load(tree)
         except CheckpointError:
@@ -181,17 +182,6 @@ class Filter:
             self._smoother.load(tree["smoother"])
         if self._ticks is not None:
             self._ticks.load(tree["ticks"])
-
-    def _about(self) -> dict[str, str]:
-        """What a checkpoint must be of, to be this filter's."""
-        plan = self.plan
-        return {
-            "version of fuselog": version("fuselog"),
-            "configuration": hashlib.sha256(plan.source.text.encode()).hexdigest(),
-            "kernel": plan.kernel.__name__,
-            "order": self.order,
-            "gain to compare with": "optimal" if self.compare else "none",
-        }
 
     def snapshot(self) -> Snapshot:
         """The engine's."""
@@ -243,12 +233,13 @@ class Filter:
         self.plan = change.plan
         if isinstance(change.command, Reset) and self._ticks is not None:
             self._ticks.reset()
-        if isinstance(change.command, Configure) and self.compare:
+        if isinstance(change.command, Configure):
+            self._about = _about(self.plan, self.order, compare=self.compare)
             self._compare_anew()
 
     def _compare_anew(self) -> None:
         """Begin or end to follow with the optimal gain, where another plan asks for it."""
-        if is_optimal(self.plan):
+        if not self.compare or is_optimal(self.plan):
             self._shadow = None
         elif self._shadow is None:
             self._shadow = Shadow(self.plan, window_ns=self._window_ns)
@@ -258,3 +249,14 @@ class Filter:
         t_ns = self._engine.estimate.t_ns
         command, _, after, asked = change
         self._given.answers.append(Answer(command=command, t_ns=t_ns, after_ns=after, asked_ns=asked, reason=reason))
+
+
+def _about(plan: Plan, order: Order, *, compare: bool) -> dict[str, str]:
+    """What a checkpoint must be of, to be a filter's."""
+    return {
+        "version of fuselog": version("fuselog"),
+        "configuration": hashlib.sha256(plan.source.text.encode()).hexdigest(),
+        "kernel": plan.kernel.__name__,
+        "order": order,
+        "gain to compare with": "optimal" if compare else "none",
+    }

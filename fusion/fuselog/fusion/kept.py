@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.events import Events, blank_events
 from fuselog.fusion.kernel.memory import empty_history
-from fuselog.fusion.kernel.tables import History, Tables
+from fuselog.fusion.kernel.tables import DECISIONS, History, Tables
 from fuselog.fusion.sealed import CheckpointError, Tree
 
 Floats = NDArray[np.float64]
@@ -27,6 +27,13 @@ def take_into(to: NDArray[Any], kept: Any) -> None:
     if getattr(kept, "shape", None) != to.shape or kept.dtype != to.dtype:
         raise ValueError("an array of another shape")
     to[:] = kept
+
+
+def take_whole(kept: Any) -> int:
+    """A number that an int64 can hold; raises ``ValueError`` for anything else."""
+    if not isinstance(kept, int) or not -(1 << 63) <= kept < 1 << 63:
+        raise ValueError("no whole number")
+    return int(kept)
 
 
 def save_events(events: Events) -> Tree:
@@ -99,6 +106,8 @@ def load_history(kernel: ModuleType, tables: Tables, tree: Tree, room: int) -> t
         column = getattr(history, name)
         take_into(column[: n * (len(column) // history.capacity)], tree["entries"][name])
     _check_sensors(history.sensor[:n], tables)
+    if n == 0 or (history.decision[:n] >= DECISIONS).any():
+        raise ValueError("no entry, or a decision that is not there")
     variants = history.marks.reshape(history.capacity, -1)[:n, kernel.VARIANT]
     if not ((variants >= 0) & (variants < len(tables.gain) // tables.S)).all():
         raise ValueError("a variant of the gain that is not there")

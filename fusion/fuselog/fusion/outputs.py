@@ -225,7 +225,8 @@ def _decision_encoder(sensor: str, dof: int, frame: str) -> CdrEncoder:
 
 def _command_job(stream: int, row: int, answer: Answer) -> _Job:
     kind, arguments = command_text(answer.command)
-    texts = {"kind": kind, "arguments": arguments, "reason": answer.reason}
+    reason = answer.reason.encode(errors="replace").decode()  # it quotes what somebody wrote
+    texts = {"kind": kind, "arguments": arguments, "reason": reason}
     accepted = {"accepted": float(answer.accepted)}
     encoder = CdrEncoder(COMMAND, definition(COMMAND), columns=[], constants={**texts, **accepted})
     stamp, after, asked = (np.array([t]) for t in (answer.t_ns or 0, answer.after_ns, answer.asked_ns))

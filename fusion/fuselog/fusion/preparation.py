@@ -9,6 +9,7 @@ from fuselog.fusion.commands import Command, CommandError, Configure, Reset, Set
 from fuselog.fusion.events import Decision, Events, blank_events
 from fuselog.fusion.intake import ClockGuard, Intake, StampOrder
 from fuselog.fusion.intake.intake import Floats
+from fuselog.fusion.kept import take_whole
 from fuselog.fusion.kernel.tables import NEVER
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.sealed import Tree
@@ -41,7 +42,7 @@ class Preparation:
 
     def __init__(self, plan: Plan, *, hold: bool, settle: bool) -> None:
         self.intake = Intake(plan)
-        self.after_ns = 0  # when the last message was received
+        self.after_ns = 0  # the latest time at which a message was received
         self._plan = plan
         self._clock = _clock(plan)
         self._order = _order(plan) if hold else None
@@ -53,7 +54,7 @@ class Preparation:
         """A batch of messages, in the order of arrival."""
         events, levers = self.intake.take(messages)
         if len(messages):
-            self.after_ns = int(messages.log_time[-1])
+            self.after_ns = max(self.after_ns, int(messages.log_time.max()))
         self._clock.mark(events)
         if self._floor != NEVER:
             late = (events.fault == Decision.FUSED) & (events.t_ns < self._floor)
@@ -106,7 +107,7 @@ class Preparation:
         """Become what another with the same plan was; raises as ``Intake.load``."""
         self.intake.load(tree["intake"])
         self._clock.load(tree["clock"])
-        self.after_ns, self._floor = int(tree["after_ns"]), int(tree["floor"])
+        self.after_ns, self._floor = take_whole(tree["after_ns"]), take_whole(tree["floor"])
         for order, kept in ((self._order, tree["order"]), (self._settling, tree["settling"])):
             if order is not None:
                 order.load(kept, self._plan.tables)

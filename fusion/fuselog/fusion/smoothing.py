@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.engine import Snapshot, make_samples, make_track
 from fuselog.fusion.events import Events, blank_events
-from fuselog.fusion.kept import check_end, load_history, save_history, take_into
+from fuselog.fusion.kept import check_end, load_history, save_history, take_into, take_whole
 from fuselog.fusion.kernel.fields import call
 from fuselog.fusion.kernel.memory import blank_rows, empty_history, move_history, scratch
 from fuselog.fusion.kernel.tables import NEVER, Care, Gain, History, Rows
@@ -140,7 +140,7 @@ class FixedLag:
         passes.begin_with(history)
         passes.forth(samples)
         check_end(passes.history, tree)
-        self._tick = int(tree["tick"])
+        self._tick = take_whole(tree["tick"])
 
     def warm_up(self) -> None:
         """Compile, or load from the cache, what the first event and the first estimate would have to wait for."""

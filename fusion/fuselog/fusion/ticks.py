@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from fuselog.fusion.commands import CommandError
 from fuselog.fusion.engine import Engine
 from fuselog.fusion.events import Decision, Events
+from fuselog.fusion.kept import take_whole
 from fuselog.fusion.kernel.tables import NEVER
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.track import Track, join_tracks, period_ns
@@ -41,7 +42,7 @@ class Ticks:
 
     def load(self, newest: int) -> None:
         """Go on after a newest stamp."""
-        self.newest, self._told = int(newest), []
+        self.newest, self._told = take_whole(newest), []
 
     def reset(self) -> None:
         """Wait for a first sample again."""

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
-from ruamel.yaml.error import MarkedYAMLError
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from fuselog.fusion.config.settings import Config, Settings
 from fuselog.schemas.errors import ConfigError
@@ -108,6 +108,9 @@ def _parse(text: str, name: str) -> Source:
         mark = error.problem_mark
         line, column = (mark.line + 1, mark.column + 1) if mark is not None else (1, 1)
         raise ConfigError([f"{name}:{line}:{column}: {error.problem}"]) from error
+    except (YAMLError, ValueError, RecursionError) as error:
+        reason = "is nested too deeply" if isinstance(error, RecursionError) else str(error).partition("\n")[0]
+        raise ConfigError([f"{name}:1:1: {reason}"]) from error
     source = Source(name, text, tree)
     if not isinstance(tree, CommentedMap):
         raise source.complain([Problem((), "expected keys such as fuselog, model and sensors")])

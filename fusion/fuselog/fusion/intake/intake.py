@@ -21,7 +21,7 @@ from fuselog.fusion.intake.mounts import (
     load_mount,
 )
 from fuselog.fusion.intake.stream import Stream, load_messages, own_messages, same_topic, save_messages
-from fuselog.fusion.kept import take_into
+from fuselog.fusion.kept import take_into, take_whole
 from fuselog.fusion.plan import Plan, SensorPlan
 from fuselog.fusion.plan.readings import PARTS, Shape, sensor_parts
 from fuselog.fusion.sealed import Tree
@@ -163,9 +163,9 @@ class Intake:
         self._tf_streams.clear()
         for each in tree["streams"]:
             description = dict(each)
-            self.open(int(description.pop("number")), Stream(**description))
+            self.open(take_whole(description.pop("number")), Stream(**description))
         for feed, kept in zip(self._feeds, tree["feeds"], strict=True):
-            feed.taken = int(kept["taken"])
+            feed.taken = take_whole(kept["taken"])
             feed.mount = None if kept["mount"] is None else load_mount(kept["mount"])
             feed.held = [load_messages(each) for each in kept["held"]]
             feed.reference = float(kept["reference"][0])

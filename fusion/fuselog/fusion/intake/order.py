@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision, Events, blank_events, take_joined
-from fuselog.fusion.kept import load_events, save_events, take_into
+from fuselog.fusion.kept import load_events, save_events, take_into, take_whole
 from fuselog.fusion.kernel.tables import NEVER, Tables
 from fuselog.fusion.sealed import Tree
 
@@ -54,7 +54,7 @@ class StampOrder:
         held = load_events(tree["held"], tables)
         place = np.empty(held.size, np.int64)
         take_into(place, tree["place"])
-        self._newest, self._held, self._place = int(tree["newest"]), held, place
+        self._newest, self._held, self._place = take_whole(tree["newest"]), held, place
 
     def _release(self, fresh: Events, place: NDArray[np.int64], ready: NDArray[np.bool_]) -> Events:
         """Give what is ready, of what was held and what is fresh, and hold the rest."""

@@ -65,7 +65,8 @@ def _as_type(model: type[BaseModel]) -> Any:
 @cache
 def _names(kind: type) -> tuple[str, ...]:
     """What is in a dataclass or named tuple, and what it says of itself; none of another type."""
-    own = tuple(field.name for field in fields(kind)) if is_dataclass(kind) else getattr(kind, "_fields", ())  # pyright: ignore[reportUnknownArgumentType]  narrowed to nothing known
+    all_fields: tuple[str, ...] = getattr(kind, "_fields", ())
+    own = tuple(field.name for field in fields(kind)) if is_dataclass(kind) else all_fields
     return (*own, *_properties(kind)) if own else ()
 
 
