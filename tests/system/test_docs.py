@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 import typer
-from fuselog.service.live.standby import Standby
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 
@@ -15,6 +14,7 @@ from fuselog.fusion.config import settings
 from fuselog.fusion.kernel.cache import model_card
 from fuselog.fusion.kernel.declared import MODEL_NAMES, find_model
 from fuselog.service.cli import make_app
+from fuselog.service.live.standby import Standby
 from fuselog.service.rest.app import create_app
 
 ROOT = Path(__file__).parents[2]
