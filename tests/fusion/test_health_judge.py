@@ -149,5 +149,6 @@ def test_a_sensor_that_is_switched_off_is_forgotten() -> None:
     live(run, rows, 0.0, 8.0)
     assert run.memory.health is not None
     assert run.memory.health.sensors["a"].status == "stale"
-    health = run.look(8.05, disabled=("a",))
+    run.plan = two(a="gate: 0.99, enabled: false")
+    health = run.look(8.05)
     assert (health.sensors["a"].status, health.status) == ("disabled", "healthy")

@@ -222,7 +222,8 @@ def test_initializing_until_every_state_is_known() -> None:
 
 def test_disabled() -> None:
     """Nothing is said of a sensor that is switched off, and the filter is not worse for it."""
-    health = Run(PLAN).feed(r for r in driving(100) if r.sensor == "b").health(disabled=("a",))
+    run = Run(two(a="gate: 0.99, enabled: false")).feed(r for r in driving(100) if r.sensor == "b")
+    health = run.health()
     assert (health.status, health.sensors["a"].status) == ("healthy", "disabled")
     assert health.sensors["a"].reasons == ("switched off",)
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from fastapi import Request, Response
 from fastapi.responses import JSONResponse, StreamingResponse
+from fuselog.service.rest.api import create_app
 
 from fuselog.fusion import Filter, Plan, compile_plan, parse_config
 from fuselog.fusion.health import Losses, Recent, no_samples, remember
@@ -19,7 +20,6 @@ from fuselog.replay.reprocess import open_inputs
 from fuselog.service.live.runner import Snapshot
 from fuselog.service.page.page import add_page
 from fuselog.service.rest.answers import health_answer, state_answer
-from fuselog.service.rest.api import create_app
 from fuselog.service.rest.http import HttpServer, bind
 
 Frames = list[Snapshot]

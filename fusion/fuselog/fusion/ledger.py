@@ -1,7 +1,7 @@
 """The ledger: every sample that was received is accounted for, sensor by sensor, exactly."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,7 @@ def make_ledger(plan: Plan, received: Sequence[int], pending: NDArray[np.int64],
 def sum_accounts(ledger: Ledger) -> Account:
     """One account for all sensors."""
     accounts = list(ledger.values())
-    invalid = {reason: sum(a.invalid[reason] for a in accounts) for reason in accounts[0].invalid} if accounts else {}
-    columns = ("received", "fused", "gated", "late", "duplicate", "skipped", "disabled", "pending")
-    return Account(invalid=invalid, **{name: sum(getattr(a, name) for a in accounts) for name in columns})
+    reasons = {reason for account in accounts for reason in account.invalid}
+    invalid = {d: sum(account.invalid[d] for account in accounts) for d in sorted(reasons)}
+    counts = [field.name for field in fields(Account) if field.name != "invalid"]
+    return Account(invalid=invalid, **{name: sum(getattr(account, name) for account in accounts) for name in counts})

@@ -111,11 +111,16 @@ class Streams:
         try:
             stream = told[0] if told else _known(key, encoding or "cdr", name or self._types.get(key, ""))
             if stream not in self._numbers:
-                self._intake.open(len(self._numbers), stream)
-                self._numbers[stream] = len(self._numbers)
+                number = max(self._numbers.values(), default=-1) + 1
+                self._intake.open(number, stream)
+                self._numbers[stream] = number
         except FuselogError as error:
             return str(error)
         return self._numbers[stream]
+
+    def resume(self, streams: Mapping[int, Stream]) -> None:
+        """Know the streams that the intake has open already."""
+        self._numbers = {stream: number for number, stream in streams.items()}
 
 
 def _known(key: str, encoding: str, name: str) -> Stream:

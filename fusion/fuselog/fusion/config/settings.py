@@ -419,6 +419,13 @@ class RecordSettings(Settings):
     latched: list[str] = Field(default_factory=lambda: ["/tf_static"], description="topics repeated in every file")
 
 
+class CheckpointSettings(Settings):
+    """What a service puts aside of its filters, to go on from after a restart."""
+
+    folder: str = Field(min_length=1, description="one file for each filter, from the folder where the service runs")
+    every: Annotated[Seconds, Field(gt=0, le=3600)] = 1.0
+
+
 class FleetSettings(Settings):
     """Filters that topics with captures make, such as fleet/{robot}/imu: one for each name."""
 
@@ -444,3 +451,4 @@ class Config(Settings):
     http: HttpSettings = HttpSettings.model_validate({})
     record: RecordSettings | None = Field(None, description="of a live service; by default nothing is recorded")
     fleet: FleetSettings = FleetSettings.model_validate({})
+    checkpoint: CheckpointSettings | None = Field(None, description="by default a service begins anew")

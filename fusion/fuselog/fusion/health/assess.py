@@ -1,6 +1,6 @@
 """The health of a filter: a pure function of its counters, the last rows of its track, and what a clock says."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -10,14 +10,8 @@ from fuselog.fusion.engine import Estimate
 from fuselog.fusion.health.covariance import CovarianceHealth, covariance_health, heading_sd, position_sd
 from fuselog.fusion.health.disagree import disagreements
 from fuselog.fusion.health.findings import Ages, Finding, Level, Losses, Status, filter_status
-from fuselog.fusion.health.sensor import (
-    MOST_SKEW_S,
-    OF_LATE_S,
-    SensorHealth,
-    assess_sensor,
-    clock_offset,
-    stale_limit,
-)
+from fuselog.fusion.health.reasons import MOST_SKEW_S, OF_LATE_S, clock_offset, stale_limit
+from fuselog.fusion.health.sensor import SensorHealth, assess_sensor
 from fuselog.fusion.health.window import Recent
 from fuselog.fusion.intake import same_topic
 from fuselog.fusion.ledger import Account, Ledger, sum_accounts
@@ -77,12 +71,11 @@ def assess(
     losses: Mapping[str, Losses],
     optimality_ratio: float | None = None,
     ages: Ages | None = None,
-    disabled: Collection[str] = (),
 ) -> Health:
     """The health of a filter as it is now.
 
     ``losses`` by topic, without the slash in front. ``ages`` say what a clock says, which fusion has none of: without
-    them nothing is stale by the clock, and losses and resets count for ever. ``disabled``: sensors switched off.
+    them nothing is stale by the clock, and losses and resets count for ever.
     """
     ages = ages or Ages()
     sensors = {
@@ -94,7 +87,6 @@ def assess(
             losses=losses.get(same_topic(sensor.settings.topic), Losses()),
             estimate=estimate,
             ages=ages,
-            disabled=sensor.name in disabled,
         )
         for sensor in plan.sensors
     }
@@ -131,10 +123,10 @@ def _together(plan: Plan, recent: Recent, sensors: Mapping[str, SensorHealth]) -
     """What only shows when sensors are compared: numbers, and clocks."""
     found = {name: more for name, more in disagreements(plan, recent).items() if name in sensors}
     offsets = {name: s.timing.median_s for name, s in sensors.items() if s.timing and s.timing.unit is None}
-    for name in offsets:
+    for name, skew in offsets.items():
         others = [offset for other, offset in offsets.items() if other != name]
         if others:
-            found.setdefault(name, []).extend(clock_offset(sensors[name], median(others)))
+            found.setdefault(name, []).extend(clock_offset(skew, median(others)))
     return {name: findings for name, findings in found.items() if findings}
 
 

@@ -11,6 +11,7 @@ from fuselog.fusion.health.measure import (
     ABOVE,
     ASKED,
     COPIES,
+    COUNTS,
     DATED,
     DISTINCT,
     FEWEST,
@@ -24,6 +25,7 @@ from fuselog.fusion.health.measure import (
     MOST_FREEDOM,
     NIS,
     OUTSIDE,
+    PER_NUMBER,
     REACH,
     REFUSED,
     SLOPE,
@@ -34,11 +36,13 @@ from fuselog.fusion.health.measure import (
     VALID,
     WHOLE,
     Floats,
-    per_number,
+    measure_window,
 )
-from fuselog.fusion.health.window import Window
+from fuselog.fusion.health.window import IS_DATED, IS_VALID, Window
+from fuselog.fusion.kernel.tables import DECISIONS
 from fuselog.fusion.plan import Plan, SensorPlan
 
+_NUMBERS = COUNTS + DECISIONS  # where the results of each measured number begin
 _EXACT_DOF = 60  # up to which quantiles of chi-square are exact
 _SIGNIFICANT = 5.0  # standard deviations from which a mean or a slope is no chance
 _UNIT_FACTORS = {10**9: "s", 10**6: "ms", 10**3: "us"}  # how many ns each unit has
@@ -90,7 +94,7 @@ class TimingHealth:
     spread_s: float  # between the 5 % and the 95 % quantile
     p95_s: float
     p99_s: float
-    jump_s: float | None  # of the last samples against those before, where both keep together and are apart
+    jump_s: float | None  # at its largest step, where it keeps together before and after
     unit: str | None  # what the stamps seem to count in, where that is not ns
 
 
@@ -114,6 +118,28 @@ class GateHealth:
     reach: float  # largest NIS over its threshold
     chance: float  # probability that the largest is as small as it is
     locked: bool  # the last ones were all refused
+
+
+def measure(plan: Plan, sensor: SensorPlan, window: Window, judged: int) -> Floats:
+    """The numbers of the last ``judged`` samples; those of arrivals of all in the window."""
+    log, m = window.log, sensor.dof
+    out = np.zeros(_NUMBERS + PER_NUMBER * m)
+    thresholds = plan.tables.threshold.reshape(plan.tables.S, -1)[sensor.rank]
+    spans = window.begin, max(window.begin, window.end - judged), window.end
+    measure_window(log.whole, log.real, *spans, _limits(len(thresholds)), thresholds, IS_VALID, IS_DATED, _NUMBERS, out)
+    return out
+
+
+def per_number(measured: Floats, block: int) -> Floats:
+    """One of the last block for all numbers (m,)."""
+    m = (len(measured) - _NUMBERS) // PER_NUMBER
+    return measured[_NUMBERS + block * m : _NUMBERS + (block + 1) * m]
+
+
+@lru_cache(maxsize=64)
+def _limits(most: int) -> Floats:
+    """By degrees of freedom, from 1 (row 0): both ends of the 95 % band of chi², and the one-sided 95 % quantile."""
+    return np.array([[chi_square_quantile(p, dof) for p in (0.025, 0.975, 0.95)] for dof in range(1, most + 1)])
 
 
 def nis_health(measured: Floats) -> NisHealth | None:
@@ -144,11 +170,16 @@ def chi_square_band(dof: int) -> tuple[float, float]:
     return low, high
 
 
+def expected_rate(plan: Plan, sensor: SensorPlan) -> float | None:
+    """The rate (Hz) that the configuration says, of the sensor or for its gains."""
+    return sensor.settings.rate or plan.config.gain.rates.get(sensor.name)
+
+
 def rate_health(plan: Plan, sensor: SensorPlan, window: Window, measured: Floats) -> RateHealth | None:
     """Samples a second over the last ones, and what is to be expected."""
     if measured[VALID] < FEWEST or not measured[SPAN]:
         return None
-    declared = sensor.settings.rate or plan.config.gain.rates.get(sensor.name)
+    declared = expected_rate(plan, sensor)
     return RateHealth(
         hz=float((measured[DISTINCT] - 1) / measured[SPAN]),
         expected_hz=declared or window.learned_hz,

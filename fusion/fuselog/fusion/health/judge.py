@@ -1,6 +1,6 @@
 """Health over time: worse at once, better only after it has held, and each change told once."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -70,7 +70,6 @@ def watch(
     recent: Recent,
     losses: Mapping[str, Losses],
     optimality_ratio: float | None = None,
-    disabled: Collection[str] = (),
 ) -> HealthMemory:
     """Look at a filter: ages by ``now_ns``, then ``assess``, then ``judge``.
 
@@ -95,7 +94,6 @@ def watch(
         losses=losses,
         optimality_ratio=optimality_ratio,
         ages=_ages(counted, now_ns),
-        disabled=disabled,
     )
     return judge(replace(memory, counted=counted), health, now_ns=now_ns)
 

@@ -1,20 +1,16 @@
 """The numbers behind the figures of a sensor, from its last samples in one pass of machine code.
 
-Each of them alone is a few calls of numpy; together these would take longer than the filter itself.
+Each of them alone is a few calls of numpy; together these would take longer than the filter itself. What is compiled is
+renewed when this module changes, so that it takes nothing from others that may change without it.
 """
 
 import math
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision
-from fuselog.fusion.gate import chi_square_quantile
-from fuselog.fusion.health.window import ARRIVAL, DECISION, DOF, IS_DATED, IS_VALID, READING, STAMP, T, Window
-from fuselog.fusion.kernel.tables import DECISIONS
-from fuselog.fusion.plan import Plan, SensorPlan
 from fuselog.schemas.compiled import inline, kernel
 
 Floats = NDArray[np.float64]
@@ -22,14 +18,15 @@ Ints = NDArray[np.int64]
 
 FEWEST: Final = 20  # samples before a statistic is judged
 
-# where each number stands; those of the last block are there for every measured number
+T, STAMP, ARRIVAL, SEQ, DECISION, DOF, READING = range(7)  # the whole numbers of a sample
+
+# where each result stands
 (TRIED, NIS, FREEDOM, MOST_FREEDOM, OUTSIDE, ABOVE, LARGEST, MIDDLE, MIDDLE_OF) = range(9)
 (ASKED, REFUSED, REACH, LOCKED) = range(9, 13)
 (VALID, SPAN, DISTINCT, STEPS, STEP, MOST_STEP, BEHIND) = range(13, 20)
 (DATED, JUMP) = range(20, 22)
 (SAME, WHOLE) = range(22, 24)
-COUNTS: Final = 24
-NUMBERS: Final = COUNTS + DECISIONS
+COUNTS: Final = 24  # of decisions; behind them, from ``numbers`` on, what there is of each measured number
 (MEAN, SQUARE, COPIES, SLOPE, SLOPE_SD, POWER, LAGGED) = range(7)
 PER_NUMBER: Final = 7
 
@@ -38,31 +35,8 @@ _MOVED: Final = 3.0  # standard deviations of the innovation over which a frozen
 _MOST_LAG: Final = 0.99
 
 
-def measure(plan: Plan, sensor: SensorPlan, window: Window, judged: int) -> Floats:
-    """The numbers of the last ``judged`` samples; those of arrivals of all in the window."""
-    log, m = window.log, sensor.dof
-    out = np.zeros(NUMBERS + PER_NUMBER * m)
-    thresholds = plan.tables.threshold.reshape(plan.tables.S, -1)[sensor.rank]
-    begin = max(window.begin, window.end - judged)
-    limits = _limits(len(thresholds))
-    _measure(log.whole, log.real, window.begin, begin, window.end, limits, thresholds, IS_VALID, IS_DATED, out)
-    return out
-
-
-def per_number(measured: Floats, block: int) -> Floats:
-    """One of the last block for all numbers (m,)."""
-    m = (len(measured) - NUMBERS) // PER_NUMBER
-    return measured[NUMBERS + block * m : NUMBERS + (block + 1) * m]
-
-
-@lru_cache(maxsize=64)
-def _limits(most: int) -> Floats:
-    """By degrees of freedom, from 1 (row 0): both ends of the 95 % band of chi², and the one-sided 95 % quantile."""
-    return np.array([[chi_square_quantile(p, dof) for p in (0.025, 0.975, 0.95)] for dof in range(1, most + 1)])
-
-
 @kernel
-def _measure(
+def measure_window(
     whole: Ints,
     real: Floats,
     remembered: int,
@@ -72,15 +46,17 @@ def _measure(
     thresholds: Floats,
     is_valid: NDArray[np.bool_],
     is_dated: NDArray[np.bool_],
+    numbers: int,
     out: Floats,
 ) -> None:
+    """Everything of the samples from ``begin`` to ``end``, and of the arrivals of all that are remembered."""
     _of_nis(whole, real, begin, end, limits, thresholds, out)
     _of_the_last(whole, real, begin, end, out)
     _of_stamps(whole, begin, end, is_valid, out)
     _of_arrivals(whole, remembered, end, is_dated, out)
     _of_readings(whole, real, begin, end, out)
     for i in range((len(real) - 1) // 3):
-        _of_innovations(whole, real, begin, end, i, out)
+        _of_innovations(whole, real, begin, end, i, numbers, out)
 
 
 @inline
@@ -106,9 +82,11 @@ def _of_nis(whole: Ints, real: Floats, begin: int, end: int, limits: Floats, thr
 @inline
 def _of_the_last(whole: Ints, real: Floats, begin: int, end: int, out: Floats) -> None:
     """The median NIS per degree of freedom of the last few that were tried, and whether all of them were refused."""
-    ordered, k, refused = np.empty(FEWEST), 0, True
+    ordered, k, asked, refused = np.empty(FEWEST), 0, 0, True
     for j in range(end - 1, begin - 1, -1):
-        dof, nis = whole[DOF, j], real[0, j]
+        decision, dof, nis = whole[DECISION, j], whole[DOF, j], real[0, j]
+        if decision <= _GATED and asked < FEWEST:
+            asked, refused = asked + 1, refused and decision == _GATED
         if dof <= 0 or not math.isfinite(nis) or k == FEWEST:
             continue
         place = k
@@ -117,9 +95,8 @@ def _of_the_last(whole: Ints, real: Floats, begin: int, end: int, out: Floats) -
             place -= 1
         ordered[place] = nis / dof
         k += 1
-        refused = refused and whole[DECISION, j] == _GATED
     out[MIDDLE_OF] = k
-    out[LOCKED] = refused and k == FEWEST
+    out[LOCKED] = refused and asked == FEWEST
     if k:
         out[MIDDLE] = ordered[k // 2]
 
@@ -205,10 +182,10 @@ def _of_readings(whole: Ints, real: Floats, begin: int, end: int, out: Floats) -
 
 
 @inline
-def _of_innovations(whole: Ints, real: Floats, begin: int, end: int, i: int, out: Floats) -> None:
+def _of_innovations(whole: Ints, real: Floats, begin: int, end: int, i: int, numbers: int, out: Floats) -> None:
     """Means of number i in its standard deviations, and the slope of its innovations over what was predicted."""
     m = (len(real) - 1) // 3
-    at = NUMBERS + i
+    at = numbers + i
     n, before, e_sum, square, lagged, last = 0, 0.0, 0.0, 0.0, 0.0, 0.0
     h_sum, nu_sum, S_sum = 0.0, 0.0, 0.0
     for j in range(begin, end):

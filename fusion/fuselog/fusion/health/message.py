@@ -10,7 +10,7 @@ from fuselog.schemas import PlainEncoder, definition
 
 HEALTH = "fuselog_msgs/msg/Health"
 
-_COUNTS = ("received", "fused", "gated", "late", "duplicate", "skipped", "pending")
+_COUNTS = ("received", "fused", "gated", "late", "duplicate", "skipped", "disabled", "pending")
 
 
 def health_message(health: Health, *, filter_id: str, frame: str) -> bytes:

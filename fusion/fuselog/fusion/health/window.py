@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision
+from fuselog.fusion.health.measure import ARRIVAL, DECISION, DOF, READING, SEQ, STAMP, T
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.track import Track
 
@@ -13,7 +14,7 @@ REMEMBERED = 1000  # samples of each sensor
 FIRST = 50  # stamps from which a sensor's own period is learned
 
 _LEAST_ROOM = 64
-T, STAMP, ARRIVAL, SEQ, DECISION, DOF, READING, _WHOLE = range(8)  # the whole numbers of a sample
+_WHOLE = 7  # whole numbers of a sample
 IS_DATED = np.array([d not in (Decision.INVALID_SCHEMA, Decision.INVALID_SIZE) for d in Decision])
 IS_VALID = np.array([not d.invalid for d in Decision])
 _MIX = np.cumprod(np.full(64, 0x9E3779B97F4A7C15, np.uint64)).view(np.int64)  # odd, so that no bit gets lost

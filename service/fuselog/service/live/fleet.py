@@ -5,8 +5,10 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Literal, TypeVar
 
 import zenoh
@@ -14,6 +16,7 @@ import zenoh
 from fuselog.fusion import Estimate, load_plan
 from fuselog.fusion.commands import Command, CommandError, Configure
 from fuselog.replay.recording import RecordingStatus
+from fuselog.service.live.checkpoints import read_checkpoint, write_checkpoint
 from fuselog.service.live.group import Group, make_group
 from fuselog.service.live.inbox import Inbox
 from fuselog.service.live.keys import ByPattern, Captures
@@ -56,6 +59,8 @@ class Fleet:
         self._session, self._groups = session, groups
         self._post, self._told = Post(), Announcements(session, outputs=True)
         self._source = secrets.token_bytes(16)
+        self._saved_at: dict[Group, float] = {}
+        self.unsaved: dict[str, str] = {}  # filters whose last checkpoint could not be written, and why
         asked = snapshot or threading.Event()
         self._recorders = {group: recorder for group in groups if (recorder := _recorder(group, session, asked))}
         self._runner = Runner(groups, Inbox(), self._make)
@@ -125,6 +130,7 @@ class Fleet:
         """What is to be done now and then, and may wait for a disk; called on a thread that may."""
         for recorder in self._recorders.values():
             recorder.tend()
+        self._save_some()
 
     def finish(self) -> None:
         """Take no more, fuse and publish what has come; raises ``WorkerError`` for a thread that failed."""
@@ -135,6 +141,8 @@ class Fleet:
         self._runner.stop()
         while not self._fusing.join(1.0):
             pass
+        for group, id, data in self._runner.last_checkpoints:
+            self._save(group, id, data)
         self._post.finish()
         self._publishing.join(_PUBLISH_S)
         for recorder in self._recorders.values():
@@ -150,7 +158,34 @@ class Fleet:
         recorder = self._recorders.get(group)
         if recorder is not None:
             outbox.record = partial(recorder.put_outputs, outbox.topics)
-        return Member(group, captures, plan, outbox, learn=partial(learn, self._session))
+        member = Member(group, captures, plan, outbox, learn=partial(learn, self._session))
+        saved = _saved(group, member.id)
+        if saved is not None:
+            member.resume(saved)
+        return member
+
+    def _save_some(self) -> None:
+        """Put aside the filters whose time it is."""
+        due = {group for group in self._groups if _is_due(group, self._saved_at.get(group))}
+        if not due:
+            return
+
+        def look(members: Sequence[Member]) -> list[tuple[Group, str, bytes]]:
+            return [(member.group, member.id, member.checkpoint()) for member in members if member.group in due]
+
+        with suppress(TimeoutError):
+            for group, id, data in self._runner.ask_all(look).result(_ANSWER_S):
+                self._save(group, id, data)
+            self._saved_at |= dict.fromkeys(due, time.monotonic())
+
+    def _save(self, group: Group, id: str, data: bytes) -> None:
+        settings = group.plan.config.checkpoint
+        assert settings is not None
+        try:
+            write_checkpoint(Path(settings.folder), id, data)
+            self.unsaved.pop(id, None)
+        except OSError as error:  # the filters go on
+            self.unsaved[id] = error.strerror or str(error)
 
     def _take(self, number: int, recorder: FilterRecorder | None, sample: zenoh.Sample) -> None:
         """A sample on the network thread; recorded first, for the filter may hold it up."""
@@ -192,6 +227,16 @@ def _recorder(group: Group, session: zenoh.Session, snapshot: threading.Event) -
         return None
     types = stream_types({sensor.settings.topic: sensor.settings.type for sensor in group.plan.sensors})
     return FilterRecorder(settings, session, ByPattern(types), snapshot)
+
+
+def _saved(group: Group, id: str) -> bytes | None:
+    settings = group.plan.config.checkpoint
+    return None if settings is None else read_checkpoint(Path(settings.folder), id)
+
+
+def _is_due(group: Group, saved_at: float | None) -> bool:
+    settings = group.plan.config.checkpoint
+    return settings is not None and (saved_at is None or time.monotonic() - saved_at >= settings.every)
 
 
 def _plain(id: str) -> str:

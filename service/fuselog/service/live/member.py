@@ -5,6 +5,8 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from fuselog.fusion import Estimate, Filter, Ledger, Outputs, Plan, Track, join_tracks
 from fuselog.fusion.commands import Command, Configure
 from fuselog.fusion.health import (
@@ -20,6 +22,7 @@ from fuselog.fusion.health import (
     watch,
 )
 from fuselog.fusion.intake import same_topic
+from fuselog.fusion.sealed import CheckpointError, seal, unseal
 from fuselog.replay.recording import RecordingStatus
 from fuselog.schemas import FuselogError
 from fuselog.service.live.group import Group
@@ -29,6 +32,7 @@ from fuselog.service.live.sources import Numbered, Progress, Sources
 from fuselog.service.streams import Learn, Streams, stream_types
 
 _MOST_CHANGES = 1000
+_ABOUT = {"kind": "member of a service"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,6 +49,7 @@ class Snapshot:
     progress: dict[str, dict[str, Progress]]  # by publisher and key
     unpublished: int
     last_arrival: float | None  # monotonic s
+    origin: str  # how it began: anew, or from a checkpoint, or why not from that
     recording: RecordingStatus | None = None  # None: there is to be none
 
 
@@ -59,11 +64,12 @@ class Member:
         self.last_arrival: float | None = None  # monotonic s
         self._outputs = Outputs(plan)
         types = {sensor.settings.topic: sensor.settings.type for sensor in plan.sensors}
-        streams = Streams(self.filter.intake, stream_types(types), learn)
-        self._sources = Sources(self.keys, streams.identify)
+        self._streams = Streams(self.filter.intake, stream_types(types), learn)
+        self._sources = Sources(self.keys, self._streams.identify)
         self._recent = no_samples(plan)
         self._tracks: list[Track] = []  # since the last look
         self._shed = [0] * len(self.keys)
+        self._origin = "it began anew"
         self._memory: HealthMemory = no_judgement()
         self._changes: deque[HealthChange] = deque(maxlen=_MOST_CHANGES)
         self._shown: tuple[HealthChange, ...] = ()
@@ -113,6 +119,25 @@ class Member:
         self.outbox.close()
         self.snapshot = self._look()
 
+    def checkpoint(self) -> bytes:
+        """All that it remembers, and how far publishers were."""
+        filter = np.frombuffer(self.filter.checkpoint(), np.uint8)
+        return seal(_ABOUT, {"at_ns": time.time_ns(), "sources": self._sources.save(), "filter": filter})
+
+    def resume(self, data: bytes) -> None:
+        """Go on where a checkpoint was made; where that is not possible, begin anew and say why in ``origin``."""
+        try:
+            tree = unseal(data, _ABOUT)
+            self.filter.restore(tree["filter"].tobytes())
+            self._streams.resume(self.filter.intake.streams)
+            self._sources.load(tree["sources"])
+            age_s = (time.time_ns() - tree["at_ns"]) / 1e9
+            self._origin = f"it went on from a checkpoint that was {age_s:.1f} s old"
+        except (CheckpointError, LookupError, AttributeError, TypeError) as error:
+            self._origin = f"it began anew: {error}"
+        self._judge()
+        self.snapshot = self._look()
+
     def progress(self) -> dict[str, dict[str, Progress]]:
         """By publisher and key, exact."""
         return self._sources.progress()
@@ -139,7 +164,6 @@ class Member:
             recent=self._recent,
             losses=self._losses(),
             optimality_ratio=self.filter.optimality_ratio,
-            disabled=[sensor.name for sensor in plan.sensors if not sensor.settings.enabled],
         )
         assert self._memory.health is not None
         if self._memory.changes:
@@ -162,6 +186,7 @@ class Member:
             progress=self._sources.progress(),
             unpublished=self.outbox.dropped,
             last_arrival=self.last_arrival,
+            origin=self._origin,
         )
 
     def _losses(self) -> dict[str, Losses]:

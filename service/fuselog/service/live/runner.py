@@ -52,6 +52,7 @@ class Runner:
         self._unknown_samples = 0
         self._ended: OrderedDict[str, Snapshot] = OrderedDict()
         self._stopping = False
+        self.last_checkpoints: list[tuple[Group, str, bytes]] = []  # when ``run`` is over
         self._stale: set[str] = set()  # ids whose snapshot is old
         self.heartbeat = time.monotonic()
         self.snapshots: Mapping[str, Snapshot] = {}
@@ -120,6 +121,11 @@ class Runner:
                 break
             if arrivals and not stopping and len(arrivals) < self.inbox.capacity // 16:
                 time.sleep(min(time.monotonic() - begun, _GATHER_S))
+        self.last_checkpoints = [
+            (member.group, id, member.checkpoint())
+            for id, member in self._members.items()
+            if member.group.plan.config.checkpoint is not None
+        ]
         for id in [*self._members]:
             self._end(id)
         self._show()

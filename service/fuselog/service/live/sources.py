@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import zenoh
@@ -40,6 +40,7 @@ class _Source:
     received: int = 0
     missed: int = 0
     last: int = 0
+    floor: int = 0  # up to this number all was taken before a restart
 
 
 class Sources:
@@ -52,6 +53,7 @@ class Sources:
         self.keys = keys
         self.missed = [0] * len(keys)
         self.unknown = [0] * len(keys)
+        self.repeated = [0] * len(keys)  # taken before a restart
         self.reasons = [""] * len(keys)
         self._identify = identify
         self._sources: dict[tuple[int, str, bytes], _Source] = {}
@@ -67,9 +69,26 @@ class Sources:
             if source.stream is None:
                 self.unknown[key] += 1
                 continue
+            if 0 < tag.sequence <= source.floor:
+                self.repeated[key] += 1
+                continue
             rows.append((source.stream, tag.t_ns if tag.t_ns > 0 else arrival_ns, max(tag.sequence, 0)))
             payloads.append(sample.payload.to_bytes())
         return _messages(rows, payloads)
+
+    def save(self) -> list[list[Any]]:
+        """How far each publisher was, for ``load``; publishers that send no numbers are left out."""
+        return [
+            [self.keys[key], media, gid.hex(), source.stream, source.last]
+            for (key, media, gid), source in self._sources.items()
+            if source.last and source.stream is not None
+        ]
+
+    def load(self, saved: list[list[Any]]) -> None:
+        """Go on from there: what a publisher sent up to then has been taken, and what is missing since is missed."""
+        for key, media, gid, stream, last in saved:
+            number = self.keys.index(key)
+            self._sources[number, media, bytes.fromhex(gid)] = _Source(stream, 0, last=last, floor=last)
 
     def progress(self) -> dict[str, dict[str, Progress]]:
         """By publisher (hexadecimal) and key."""
