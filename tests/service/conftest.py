@@ -168,6 +168,7 @@ class Robot:
             "losses": {},
             "progress": {},
             "unpublished": 0,
+            "origin": "anew",
             "last_arrival": self._arrival,
             "recording": None if self._recording is None else self._recording.status(),
         }

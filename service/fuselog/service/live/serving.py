@@ -9,6 +9,7 @@ from fuselog.fusion.config import Problem
 from fuselog.service.live.fleet import Fleet
 from fuselog.service.live.group import make_group
 from fuselog.service.live.standby import Standby
+from fuselog.service.page.page import add_page
 from fuselog.service.rest.app import create_app
 from fuselog.service.rest.http import HttpServer, allowed_hosts, bind, read_access, tls_context
 from fuselog.service.threads import Worker, WorkerError
@@ -49,6 +50,7 @@ def serve(
             access=access,
             hosts=allowed_hosts(http),
             streams=http.streams,
+            page=add_page,
         )
         server = HttpServer(app, listener, tls=tls)
         answering = Worker("HTTP server", server.run, stop.set)

@@ -1,6 +1,7 @@
 """Whether the service lives, is ready, and has started: for who restarts it, by the conventions of Kubernetes."""
 
 import asyncio
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +18,7 @@ class Pulse:
     """The heartbeat of an event loop."""
 
     def __init__(self) -> None:
-        self.at = time.monotonic()
+        self.at = math.inf  # monotonic s; of a loop that does not beat nothing is said
 
     async def beat(self) -> None:
         """Beat until cancelled."""
@@ -28,7 +29,7 @@ class Pulse:
     @property
     def age_s(self) -> float:
         """Since it last beat."""
-        return time.monotonic() - self.at
+        return max(time.monotonic() - self.at, 0.0)
 
 
 def add_probes(app: FastAPI, *, alive: Callable[[], bool], ready: Callable[[], bool], pulse: Pulse | None) -> None:

@@ -13,10 +13,7 @@ from fuselog.service.rest.plain import plain
 from fuselog.service.rest.problems import Refused
 from fuselog.service.rest.served import Served
 
-FRESH_S = 0.2  # how old the health that is shown may be
-_TOLD_S = 0.05  # and an event of the stream, which has up to ten in a second
-
-
+FRESH_S = 0.05  # how long health and events that were made are shown to all who ask
 _MOST_CHANGES = 50  # of health in an event
 _COLUMNS = ("stamp_ns", "arrival_ns", "seq", "decision", "nis", "dof", "innovation", "variance")
 
@@ -36,7 +33,7 @@ class Shown:
         self.served = served
         self._clock = clock
         self._health: dict[str, Health] = {}
-        self._told: tuple[float, bytes] = (-_TOLD_S, b"")
+        self._told: tuple[float, bytes] = (-FRESH_S, b"")
 
     def all(self) -> Mapping[str, Snapshot]:
         """Every filter that runs."""
@@ -74,14 +71,14 @@ class Shown:
     def told(self) -> bytes:
         """The data of one event of the stream, the same for all who are told within a moment."""
         now = self._clock()
-        if now - self._told[0] >= _TOLD_S:
+        if now - self._told[0] >= FRESH_S:
             filters = {id: self._event(id, snapshot) for id, snapshot in self.all().items()}
             self._told = now, orjson.dumps({"t": time.time_ns(), "filters": filters})
         return self._told[1]
 
     def forget(self, id: str | None = None) -> None:
         """Look anew at the next request: something was changed."""
-        self._told = (-_TOLD_S, b"")
+        self._told = (-FRESH_S, b"")
         self._health.pop(id, None) if id is not None else self._health.clear()
 
     def _event(self, id: str, snapshot: Snapshot) -> dict[str, Any]:
