@@ -148,6 +148,14 @@ def test_what_is_older_and_comes_later_is_late() -> None:
     assert plan.tables.window_ns > 0
 
 
+def test_the_newest_sample_again_is_a_duplicate_after_a_command_too() -> None:
+    topic = position(BEGIN + np.arange(5) * 10 * MS, x=np.arange(5.0), y=2.0, topic="/two")
+    filter, messages = opened("point", [topic._replace(topic="/two")], "as_received"), messages_of([topic])
+    filter.feed(messages)
+    filter.command(SetState({"x": 1.0}, {}))
+    assert filter.feed(messages.take(slice(4, None))).decision.tolist() == [Decision.DUPLICATE]
+
+
 def test_a_state_before_the_first_sample() -> None:
     filter = opened("point", drive("point")[0], "as_received")
     filter.command(SetState({"x": 1.0, "y": 2.0}, {"x": 0.1}))

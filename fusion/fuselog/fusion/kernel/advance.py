@@ -106,7 +106,7 @@ def admit(tables: Tables, history: History, events: Samples, e: int) -> tuple[in
     while k > head and after(history, k, t, sensor, events.seq[e]):
         k -= 1
     j = k
-    while j > head and history.t[j] == t and history.sensor[j] == sensor:
+    while j >= head and history.t[j] == t and history.sensor[j] == sensor:
         if same(tables, history, j, events, e):
             return DUPLICATE, -1
         j -= 1
