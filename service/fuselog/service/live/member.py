@@ -59,6 +59,7 @@ class Member:
     def __init__(self, group: Group, captures: Captures, plan: Plan, outbox: Outbox, *, learn: Learn) -> None:
         self.group, self.outbox = group, outbox
         self._captures = captures
+        self._given = plan.source.text  # the configuration at the start; a command may have put another there
         self.filter = Filter(plan, order="as_received", compare=True)
         self.keys = [same_topic(topic) for topic in self.filter.intake.topics]
         self.last_arrival: float | None = None  # monotonic s
@@ -122,18 +123,23 @@ class Member:
     def checkpoint(self) -> bytes:
         """All that it remembers, and how far publishers were."""
         filter = np.frombuffer(self.filter.checkpoint(), np.uint8)
-        return seal(_ABOUT, {"at_ns": time.time_ns(), "sources": self._sources.save(), "filter": filter})
+        about = {"at_ns": time.time_ns(), "given": self._given, "text": self.filter.plan.source.text}
+        return seal(_ABOUT, {**about, "sources": self._sources.save(), "filter": filter})
 
     def resume(self, data: bytes) -> None:
         """Go on where a checkpoint was made; where that is not possible, begin anew and say why in ``origin``."""
         try:
             tree = unseal(data, _ABOUT)
+            if tree["given"] != self._given:
+                raise CheckpointError("is of another configuration")
+            if tree["text"] != self._given:
+                self.filter.command(Configure(tree["text"]))
             self.filter.restore(tree["filter"].tobytes())
             self._streams.resume(self.filter.intake.streams)
             self._sources.load(tree["sources"])
             age_s = (time.time_ns() - tree["at_ns"]) / 1e9
             self._origin = f"it went on from a checkpoint that was {age_s:.1f} s old"
-        except (CheckpointError, LookupError, AttributeError, TypeError) as error:
+        except (FuselogError, LookupError, AttributeError, TypeError, ValueError) as error:
             self._origin = f"it began anew: {error}"
         self._judge()
         self.snapshot = self._look()

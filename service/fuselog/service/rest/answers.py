@@ -5,7 +5,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field, create_model
 
 from fuselog.fusion import Estimate, Plan
-from fuselog.fusion.health import Health, Losses, SensorHealth
+from fuselog.fusion.health import Health, Losses, SensorHealth, Status
 from fuselog.fusion.ledger import Account
 from fuselog.fusion.report import estimate_json
 from fuselog.replay.recording import RecordingStatus
@@ -26,13 +26,14 @@ class Done(BaseModel):
     done: list[str]
 
 
-class _Filter(BaseModel):
+class FilterAnswer(BaseModel):
     """One filter in the list."""
 
     id: str
     model: str
     states: list[str]
     sensors: list[str]
+    status: Status
     ended: bool = Field(description="it is gone; what is known of it is its last snapshot")
 
 
@@ -64,12 +65,6 @@ class RecordingAnswer(BaseModel):
 
 
 SensorAnswer = model_of(SensorHealth)
-FilterAnswer = create_model(
-    "FilterAnswer",
-    __base__=_Filter,
-    __doc__=_Filter.__doc__,
-    status=(model_of(Health).model_fields["status"].annotation, ...),
-)
 FiltersAnswer = create_model("FiltersAnswer", __doc__="All filters.", filters=(many(FilterAnswer), ...))
 HealthAnswer = create_model(
     "HealthAnswer",
