@@ -63,14 +63,14 @@ def _as_type(model: type[BaseModel]) -> Any:
 
 
 @cache
-def _names(kind: Any) -> tuple[str, ...]:
+def _names(kind: type[Any]) -> tuple[str, ...]:
     """What is in a dataclass or named tuple, and what it says of itself; none of another type."""
     all_fields: tuple[str, ...] = getattr(kind, "_fields", ())
     own = tuple(field.name for field in fields(kind)) if is_dataclass(kind) else all_fields
     return (*own, *_properties(kind)) if own else ()
 
 
-def _properties(kind: Any) -> tuple[str, ...]:
+def _properties(kind: type[Any]) -> tuple[str, ...]:
     return tuple(name for name, each in vars(kind).items() if isinstance(each, property) and not name.startswith("_"))
 
 
