@@ -150,7 +150,7 @@ class Member:
 
     def _give(self, track: Track) -> None:
         self._tracks.append(track)
-        self.outbox.offer(self._outputs.encode(track, self.filter.beside()))
+        self.outbox.offer(self._outputs.encode(track, self.filter.beside(), wanted=self.outbox.wanted))
 
     def _remember(self) -> None:
         if self._tracks:

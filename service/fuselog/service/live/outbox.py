@@ -1,7 +1,7 @@
 """Results on their way out: published by a thread of their own, so that no slow subscriber holds up a filter."""
 
 import queue
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from functools import partial
 
 import numpy as np
@@ -57,8 +57,18 @@ class Outbox:
         self._sequence = [0] * len(self.topics)
         media = [media_type("cdr", output.schema_name) for output in self.topics]
         self._keys = [key_of(output.topic) for output in self.topics]
-        self._publishers = [Publisher(session, key, kind) for key, kind in zip(self._keys, media, strict=True)]
+        self._publishers = [
+            Publisher(session, key, kind, cache=plan.config.zenoh.cache)
+            for key, kind in zip(self._keys, media, strict=True)
+        ]
         told.add({key: [_stream(output)] for key, output in zip(self._keys, self.topics, strict=True)})
+
+    @property
+    def wanted(self) -> Container[int]:
+        """The streams that somebody subscribes to or records, by number."""
+        if self.record is not None:
+            return range(len(self.topics))
+        return {number for number, publisher in enumerate(self._publishers) if publisher.wanted}
 
     def offer(self, messages: Messages) -> None:
         """Give what ``Outputs.encode`` made to the publishing thread."""
@@ -94,8 +104,8 @@ class Outbox:
         streams, times = messages.stream.tolist(), messages.log_time.tolist()
         starts, lengths = messages.start.tolist(), messages.length.tolist()
         for stream, t_ns, start, length in zip(streams, times, starts, lengths, strict=True):
-            self._sequence[stream] += 1
             if wanted[stream]:
+                self._sequence[stream] += 1
                 tag = Tag(self._sequence[stream], t_ns, self._source)
                 self._publishers[int(stream)].put(bytes(data[start : start + length]), write_tag(tag))
         return len(messages)
