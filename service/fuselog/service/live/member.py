@@ -69,7 +69,7 @@ class Member:
         self._sources = Sources(self.keys, self._streams.identify)
         self._recent = no_samples(plan)
         self._tracks: list[Track] = []  # since the last look
-        self._shed = [0] * len(self.keys)
+        self._shed, self._missed = ([0] * len(self.keys) for _ in range(2))
         self._origin = "it began anew"
         self._memory: HealthMemory = no_judgement()
         self._changes: deque[HealthChange] = deque(maxlen=_MOST_CHANGES)
@@ -100,16 +100,17 @@ class Member:
             self._give(self.filter.feed(self._sources.batch([])))
             raise
 
-    def look(self, shed: Sequence[int]) -> None:
-        """Renew the snapshot; ``shed``: samples of each key that were not let in."""
-        self._shed = list(shed)
+    def look(self, shed: Sequence[int], missed: Sequence[int]) -> None:
+        """Renew the snapshot; samples of each key that were not let in, and that the network knows to be lost."""
+        self._shed, self._missed = list(shed), list(missed)
         self.snapshot = self._look()
 
     def watch(self) -> None:
         """Judge the health anew and publish it; to be called at least twice a second."""
         self._judge()
-        payload = health_message(self._health, filter_id=self.id, frame=self.filter.plan.config.output.frame)
-        self.outbox.tell_health(payload, self._health.t_ns or 0)
+        if self.outbox.health_wanted:
+            payload = health_message(self._health, filter_id=self.id, frame=self.filter.plan.config.output.frame)
+            self.outbox.tell_health(payload, self._health.t_ns or 0)
         self.snapshot = self._look()
 
     def finish(self) -> None:
@@ -196,9 +197,13 @@ class Member:
         )
 
     def _losses(self) -> dict[str, Losses]:
-        """Samples that were shed show as gaps in the numbering too; they are counted once."""
+        """Samples that were shed show as gaps in the numbering too; they are counted once.
+
+        So are those that a publisher's numbers and the network both know to be lost.
+        """
         sources = self._sources
-        columns = zip(self.keys, self._shed, sources.missed, sources.unknown, sources.reasons, strict=True)
+        gaps = [max(ours, theirs) for ours, theirs in zip(sources.missed, self._missed, strict=True)]
+        columns = zip(self.keys, self._shed, gaps, sources.unknown, sources.reasons, strict=True)
         return {
             key: Losses(shed, max(missed - shed, 0), unknown, reason) for key, shed, missed, unknown, reason in columns
         }

@@ -70,6 +70,11 @@ class Outbox:
             return range(len(self.topics))
         return {number for number, publisher in enumerate(self._publishers) if publisher.wanted}
 
+    @property
+    def health_wanted(self) -> bool:
+        """Whether anybody wants messages of health."""
+        return self.record is not None or self._publishers[-1].wanted
+
     def offer(self, messages: Messages) -> None:
         """Give what ``Outputs.encode`` made to the publishing thread."""
         if self.record is not None:

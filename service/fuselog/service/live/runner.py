@@ -10,7 +10,7 @@ from typing import TypeVar
 from fuselog.schemas import FuselogError
 from fuselog.service.live.group import Group
 from fuselog.service.live.inbox import Arrival, Inbox, Request
-from fuselog.service.live.keys import Captures
+from fuselog.service.live.keys import Captures, KeyPattern
 from fuselog.service.live.member import Member, Snapshot
 from fuselog.service.live.sources import Numbered
 
@@ -44,10 +44,13 @@ class Runner:
     def __init__(self, groups: Sequence[Group], inbox: Inbox, make: Make) -> None:
         self.inbox = inbox
         self._make = make
-        self._subscriptions = [(group, pattern) for group in groups for pattern in group.patterns]
+        self._subscriptions: list[tuple[Group, KeyPattern]] = [
+            (group, pattern) for group in groups for pattern in group.patterns
+        ]
         self._members: dict[str, Member] = {}
         self._ids: dict[tuple[Group, Captures], str] = {}
         self._routes: dict[tuple[int, str], list[Target]] = {}
+        self.missed: Counter[int] = Counter()  # by subscription: what the network could not bring any more
         self._unknown: OrderedDict[str, str] = OrderedDict()
         self._unknown_samples = 0
         self._ended: OrderedDict[str, Snapshot] = OrderedDict()
@@ -64,9 +67,9 @@ class Runner:
         self._show()
 
     @property
-    def expressions(self) -> list[tuple[Group, str]]:
-        """What to subscribe to, and for whom, by number of the subscription."""
-        return [(group, pattern.expression) for group, pattern in self._subscriptions]
+    def subscriptions(self) -> list[tuple[Group, KeyPattern]]:
+        """What to subscribe to, and for whom, by number."""
+        return self._subscriptions
 
     def ask(self, id: str, question: Callable[[Member], T]) -> "Future[T]":
         """Have a question answered by the thread that owns the filter, after all that has come."""
@@ -229,16 +232,21 @@ class Runner:
     def _look(self) -> None:
         for name in self._stale & self._members.keys():
             member = self._members[name]
-            member.look(self._shed_of(member))
+            member.look(*self._lost_of(member))
         self._stale.clear()
         self._show()
 
-    def _shed_of(self, member: Member) -> list[int]:
-        shed = Counter[str]()
-        for (subscription, key), count in [*self.inbox.shed.items()]:
+    def _lost_of(self, member: Member) -> tuple[list[int], list[int]]:
+        """Samples of each key of a filter that were not let in, and those of which the network says they are lost."""
+        shed, missed = Counter[str](), Counter[str]()
+        for (subscription, key), count in [*(self.inbox.shed + self.inbox.oversized).items()]:
             if self._subscriptions[subscription][0] is member.group:
                 shed[key] += count
-        return [shed[key] for key in member.keys]
+        for subscription, count in [*self.missed.items()]:
+            group, pattern = self._subscriptions[subscription]
+            if group is member.group and not pattern.names:
+                missed[pattern.expression] += count
+        return [shed[key] for key in member.keys], [missed[key] for key in member.keys]
 
     def _show(self) -> None:
         self.snapshots = {name: member.snapshot for name, member in self._members.items()}
