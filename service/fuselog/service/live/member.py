@@ -36,6 +36,15 @@ _ABOUT = {"kind": "member of a service"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Delay:
+    """From the arrival of a sample to the publication of its results, s: of the last thousand batches."""
+
+    median_s: float
+    p99_s: float
+    most_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
     """A filter at one moment. Never changed, only replaced: who holds one may read it on any thread."""
 
@@ -48,6 +57,7 @@ class Snapshot:
     losses: dict[str, Losses]  # by key
     progress: dict[str, dict[str, Progress]]  # by publisher and key
     unpublished: int
+    delay: Delay | None = None  # None while nothing was published
     last_arrival: float | None  # monotonic s
     origin: str  # how it began: anew, or from a checkpoint, or why not from that
     recording: RecordingStatus | None = None  # None: there is to be none
@@ -85,7 +95,7 @@ class Member:
     def feed(self, arrivals: Sequence[Numbered]) -> None:
         """Fuse samples of ``keys``, by their numbers, and give the results away."""
         self.last_arrival = time.monotonic()
-        self._give(self.filter.feed(self._sources.batch(arrivals)))
+        self._give(self.filter.feed(self._sources.batch(arrivals)), since_ns=arrivals[0].arrival_ns)
 
     def command(self, command: Command, asked_ns: int) -> None:
         """Follow a command asked for at ``asked_ns``; raises ``CommandError`` or ``ConfigError`` where it cannot.
@@ -149,9 +159,10 @@ class Member:
         """By publisher and key, exact."""
         return self._sources.progress()
 
-    def _give(self, track: Track) -> None:
+    def _give(self, track: Track, *, since_ns: int | None = None) -> None:
         self._tracks.append(track)
-        self.outbox.offer(self._outputs.encode(track, self.filter.beside(), wanted=self.outbox.wanted))
+        encoded = self._outputs.encode(track, self.filter.beside(), wanted=self.outbox.wanted)
+        self.outbox.offer(encoded, since_ns=since_ns)
 
     def _remember(self) -> None:
         if self._tracks:
@@ -177,7 +188,7 @@ class Member:
             wall_ns = time.time_ns() - time.monotonic_ns()
             self._changes.extend(change._replace(t_ns=change.t_ns + wall_ns) for change in self._memory.changes)
             self._shown = tuple(self._changes)
-        self._health = self._memory.health
+        self._health, self._delay = self._memory.health, _delay(self.outbox.latencies_ns.copy())
         return self._health
 
     def _look(self) -> Snapshot:
@@ -192,6 +203,7 @@ class Member:
             losses=self._losses(),
             progress=self._sources.progress(),
             unpublished=self.outbox.dropped,
+            delay=self._delay,
             last_arrival=self.last_arrival,
             origin=self._origin,
         )
@@ -207,3 +219,10 @@ class Member:
         return {
             key: Losses(shed, max(missed - shed, 0), unknown, reason) for key, shed, missed, unknown, reason in columns
         }
+
+
+def _delay(latencies_ns: deque[int]) -> Delay | None:
+    if not latencies_ns:
+        return None
+    median, p99, most = np.percentile(np.array(latencies_ns) / 1e9, (50, 99, 100)).tolist()
+    return Delay(median_s=median, p99_s=p99, most_s=most)

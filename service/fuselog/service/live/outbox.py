@@ -1,6 +1,8 @@
 """Results on their way out: published by a thread of their own, so that no slow subscriber holds up a filter."""
 
 import queue
+import time
+from collections import deque
 from collections.abc import Callable, Container
 from functools import partial
 
@@ -14,6 +16,8 @@ from fuselog.service.streams import Announcements
 from fuselog.service.transport import key_of
 from fuselog.service.wire import Tag, media_type, write_tag
 from fuselog.service.zenoh_door import Publisher
+
+_LATENCIES = 1000
 
 
 class Post:
@@ -51,6 +55,7 @@ class Outbox:
 
     def __init__(self, session: zenoh.Session, post: Post, told: Announcements, plan: Plan, *, source: bytes) -> None:
         self.dropped = 0
+        self.latencies_ns: deque[int] = deque(maxlen=_LATENCIES)  # from a sample's arrival to its published results
         self.record: Callable[[Messages], None] | None = None  # is given all that is offered, and never waits either
         self.topics = (*Outputs(plan).topics, Output(f"{plan.config.output.estimate.rstrip('/')}/health", HEALTH))
         self._post, self._told, self._source = post, told, source
@@ -75,11 +80,11 @@ class Outbox:
         """Whether anybody wants messages of health."""
         return self.record is not None or self._publishers[-1].wanted
 
-    def offer(self, messages: Messages) -> None:
-        """Give what ``Outputs.encode`` made to the publishing thread."""
+    def offer(self, messages: Messages, *, since_ns: int | None = None) -> None:
+        """Give what ``Outputs.encode`` made to the publishing thread; ``since_ns``: when the oldest sample came."""
         if self.record is not None:
             self.record(messages)
-        if len(messages) and not self._post.put(len(messages), partial(self._publish, messages)):
+        if len(messages) and not self._post.put(len(messages), partial(self._publish, messages, since_ns)):
             self.dropped += len(messages)
 
     def tell_health(self, payload: bytes, t_ns: int) -> None:
@@ -103,7 +108,7 @@ class Outbox:
         self._told.forget(self._keys)
         self._post.put(0, self._undeclare)
 
-    def _publish(self, messages: Messages) -> int:
+    def _publish(self, messages: Messages, since_ns: int | None) -> int:
         data = messages.data.data
         wanted = [publisher.wanted for publisher in self._publishers]
         streams, times = messages.stream.tolist(), messages.log_time.tolist()
@@ -113,6 +118,8 @@ class Outbox:
                 self._sequence[stream] += 1
                 tag = Tag(self._sequence[stream], t_ns, self._source)
                 self._publishers[int(stream)].put(bytes(data[start : start + length]), write_tag(tag))
+        if since_ns is not None:
+            self.latencies_ns.append(time.time_ns() - since_ns)
         return len(messages)
 
     def _undeclare(self) -> int:
