@@ -209,13 +209,16 @@ def test_goes_on_where_it_was(robots: Begin, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "reason"),
     [
-        (lambda data: b"", "is none: it does not begin as one"),
-        (lambda data: b"PK\x03\x04 of another program", "is none: it does not begin as one"),
+        (lambda data: data[:0], "is none: it does not begin as one"),
+        (lambda data: b"PK\x03\x04" + data, "is none: it does not begin as one"),
         (lambda data: data[:12], "is cut short"),
         (lambda data: data[: len(data) // 2], "is damaged or cut short: its checksum does not hold"),
         (lambda data: data[:200] + bytes([data[200] ^ 1]) + data[201:], "is damaged or cut short: its checksum"),
         (lambda data: data[:8] + b"\x09\0\0\0" + data[12:], "is of format 9, and this is 1"),
-        (lambda data: seal({"kind": "filter"}, {}), "is of another kind: filter, and this is member of a service"),
+        (
+            lambda data: seal({"kind": "filter"}, {"of": len(data)}),
+            "is of another kind: filter, and this is member of a service",
+        ),
     ],
     ids=["empty", "foreign", "head", "half", "bit", "format", "kind"],
 )

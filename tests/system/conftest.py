@@ -81,9 +81,11 @@ def live_config(folder: Path, text: str) -> tuple[Path, str, int]:
     return path, endpoint, port
 
 
-def start(path: Path, endpoint: str, port: int, *, program: Sequence[str] = FUSELOG) -> Service:
-    """Start a service and wait until it is ready; whoever starts it ends it."""
-    process = subprocess.Popen([*program, "serve", str(path)], stderr=subprocess.PIPE, text=True)
+def start(
+    path: Path, endpoint: str, port: int, *, others: Sequence[Path] = (), program: Sequence[str] = FUSELOG
+) -> Service:
+    """Start a service and wait until it is ready; whoever starts it ends it. ``others``: its other configurations."""
+    process = subprocess.Popen([*program, "serve", *map(str, (path, *others))], stderr=subprocess.PIPE, text=True)
     service = Service(process, endpoint, f"http://127.0.0.1:{port}", path)
     end = time.monotonic() + 120  # a cold cache compiles
     while time.monotonic() < end:

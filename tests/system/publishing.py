@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import zenoh
 
-from fuselog.fusion import Filter, Plan, Stream
+from fuselog.fusion import Filter, Order, Plan, Stream
 from fuselog.schemas import CdrEncoder, Messages, definition, pack
 from fuselog.service.wire import Tag, media_type, write_tag
 from fuselog.service.zenoh_door import Publisher
@@ -79,9 +79,9 @@ class Sender:
         until(lambda: all(publisher.wanted for publisher in publishers), bool)
 
 
-def fused(plan: Plan, sent: Sequence[Sent]) -> Filter:
+def fused(plan: Plan, sent: Sequence[Sent], *, order: Order = "as_received") -> Filter:
     """A filter that has taken these, in this order."""
-    filter = Filter(plan, order="as_received", compare=True)
+    filter = Filter(plan, order=order, compare=True)
     kinds = {each.key: each.kind for each in sent}
     for number, (key, kind) in enumerate(kinds.items()):
         text = definition(kind)
