@@ -16,7 +16,7 @@ import zenoh
 from fuselog.fusion import Estimate, load_plan
 from fuselog.fusion.commands import Command, CommandError, Configure
 from fuselog.replay.recording import RecordingStatus
-from fuselog.service.live.checkpoints import read_checkpoint, write_checkpoint
+from fuselog.service.live.checkpoints import read_checkpoint, remove_checkpoint, write_checkpoint
 from fuselog.service.live.group import Group, make_group
 from fuselog.service.live.inbox import Inbox
 from fuselog.service.live.keys import ByPattern, Captures, KeyPattern
@@ -60,7 +60,7 @@ class Fleet:
         self._post, self._told = Post(), Announcements(session, outputs=True)
         self._source = secrets.token_bytes(16)
         self._saved_at: dict[Group, float] = {}
-        self.unsaved: dict[str, str] = {}  # filters whose last checkpoint could not be written, and why
+        self._unsaved: dict[str, str] = {}  # filters whose last checkpoint could not be written, and why
         asked = snapshot or threading.Event()
         self._recorders = {group: recorder for group in groups if (recorder := _recorder(group, session, asked))}
         self._runner = Runner(groups, Inbox(), self._make)
@@ -85,7 +85,7 @@ class Fleet:
 
     def snapshots(self) -> Mapping[str, Snapshot]:
         """The filters as they were a moment ago."""
-        return {id: self._with_recording(id, snapshot) for id, snapshot in self._runner.snapshots.items()}
+        return {id: self._with_files(id, snapshot) for id, snapshot in self._runner.snapshots.items()}
 
     def ended(self) -> Mapping[str, Snapshot]:
         """The last snapshot of filters that expired, or that ``finish`` ended."""
@@ -118,7 +118,9 @@ class Fleet:
 
     def record(self, id: str, what: Literal["start", "stop", "snapshot"]) -> RecordingStatus:
         """As ``Served``."""
-        recorder = self._recorders.get(self._runner.group_of(id))
+        if id not in self._runner.snapshots:
+            raise KeyError(id)
+        recorder = self._recorder_of(id)
         if recorder is None:
             raise CommandError("the configuration has no section record")
         return recorder.command(what)
@@ -128,6 +130,7 @@ class Fleet:
         for recorder in self._recorders.values():
             recorder.tend()
         self._save_some()
+        self._forget_expired()
 
     def finish(self) -> None:
         """Take no more, fuse and publish what has come; raises ``WorkerError`` for a thread that failed."""
@@ -175,14 +178,21 @@ class Fleet:
                 self._save(group, id, data)
             self._saved_at |= dict.fromkeys(due, time.monotonic())
 
+    def _forget_expired(self) -> None:
+        """A filter that expired begins anew when its topics come back, and its file does not stay for ever."""
+        for id, snapshot in self._runner.ended.items():
+            if snapshot.plan.config.checkpoint is not None and id not in self._runner.snapshots:
+                remove_checkpoint(Path(snapshot.plan.config.checkpoint.folder), id)
+                self._unsaved.pop(id, None)
+
     def _save(self, group: Group, id: str, data: bytes) -> None:
         settings = group.plan.config.checkpoint
         assert settings is not None
         try:
             write_checkpoint(Path(settings.folder), id, data)
-            self.unsaved.pop(id, None)
+            self._unsaved.pop(id, None)
         except OSError as error:  # the filters go on
-            self.unsaved[id] = error.strerror or str(error)
+            self._unsaved[id] = error.strerror or str(error)
 
     def _subscribe(self, number: int, group: Group, pattern: KeyPattern) -> Callable[[], None]:
         take = partial(self._take, number, self._recorders.get(group))
@@ -225,9 +235,14 @@ class Fleet:
         except TimeoutError as error:
             raise CommandError("the filter has not answered in time") from error
 
-    def _with_recording(self, id: str, snapshot: Snapshot) -> Snapshot:
-        recorder = self._recorders.get(self._runner.group_of(id))
-        return snapshot if recorder is None else replace(snapshot, recording=recorder.status)
+    def _recorder_of(self, id: str) -> FilterRecorder | None:
+        group = self._runner.group_of(id)
+        return None if group is None else self._recorders.get(group)
+
+    def _with_files(self, id: str, snapshot: Snapshot) -> Snapshot:
+        """A snapshot with what other threads know."""
+        unsaved, recorder = self._unsaved.get(id, ""), self._recorder_of(id)
+        return replace(snapshot, unsaved=unsaved, recording=None if recorder is None else recorder.status)
 
 
 def _recorder(group: Group, session: zenoh.Session, snapshot: threading.Event) -> FilterRecorder | None:

@@ -60,6 +60,7 @@ class Snapshot:
     delay: Delay | None = None  # None while nothing was published
     last_arrival: float | None  # monotonic s
     origin: str  # how it began: anew, or from a checkpoint, or why not from that
+    unsaved: str = ""  # why the last checkpoint could not be written
     recording: RecordingStatus | None = None  # None: there is to be none
 
 
@@ -70,16 +71,13 @@ class Member:
         self.group, self.outbox = group, outbox
         self._captures = captures
         self._given = plan.source.text  # the configuration at the start; a command may have put another there
-        self.filter = Filter(plan, order="as_received", compare=True)
-        self.keys = [same_topic(topic) for topic in self.filter.intake.topics]
+        self._plan, self._learn = plan, learn
+        self._begin()
         self.last_arrival: float | None = None  # monotonic s
         self._outputs = Outputs(plan)
-        types = {sensor.settings.topic: sensor.settings.type for sensor in plan.sensors}
-        self._streams = Streams(self.filter.intake, stream_types(types), learn)
-        self._sources = Sources(self.keys, self._streams.identify)
         self._recent = no_samples(plan)
         self._tracks: list[Track] = []  # since the last look
-        self._shed, self._missed = ([0] * len(self.keys) for _ in range(2))
+        self._shed, self._oversized, self._missed = ([0] * len(self.keys) for _ in range(3))
         self._origin = "it began anew"
         self._memory: HealthMemory = no_judgement()
         self._changes: deque[HealthChange] = deque(maxlen=_MOST_CHANGES)
@@ -110,9 +108,15 @@ class Member:
             self._give(self.filter.feed(self._sources.batch([])))
             raise
 
-    def look(self, shed: Sequence[int], missed: Sequence[int]) -> None:
-        """Renew the snapshot; samples of each key that were not let in, and that the network knows to be lost."""
-        self._shed, self._missed = list(shed), list(missed)
+    def turn_away(self, *, shed: Sequence[int], oversized: Sequence[int], missed: Sequence[int]) -> None:
+        """So many samples of each key have not come in so far.
+
+        For want of room, as too large, and by what the network says of those that it could not bring.
+        """
+        self._shed, self._oversized, self._missed = list(shed), list(oversized), list(missed)
+
+    def look(self) -> None:
+        """Renew the snapshot."""
         self.snapshot = self._look()
 
     def watch(self) -> None:
@@ -151,6 +155,7 @@ class Member:
             age_s = (time.time_ns() - tree["at_ns"]) / 1e9
             self._origin = f"it went on from a checkpoint that was {age_s:.1f} s old"
         except (FuselogError, LookupError, AttributeError, TypeError, ValueError) as error:
+            self._begin()  # nothing of a checkpoint that holds in part
             self._origin = f"it began anew: {error}"
         self._judge()
         self.snapshot = self._look()
@@ -158,6 +163,13 @@ class Member:
     def progress(self) -> dict[str, dict[str, Progress]]:
         """By publisher and key, exact."""
         return self._sources.progress()
+
+    def _begin(self) -> None:
+        self.filter = Filter(self._plan, order="as_received", compare=True)
+        self.keys = [same_topic(topic) for topic in self.filter.intake.topics]
+        types = {sensor.settings.topic: sensor.settings.type for sensor in self._plan.sensors}
+        self._streams = Streams(self.filter.intake, stream_types(types), self._learn)
+        self._sources = Sources(self.keys, self._streams.identify)
 
     def _give(self, track: Track, *, since_ns: int | None = None) -> None:
         self._tracks.append(track)
@@ -209,15 +221,21 @@ class Member:
         )
 
     def _losses(self) -> dict[str, Losses]:
-        """Samples that were shed show as gaps in the numbering too; they are counted once.
+        """Samples that were not let in show as gaps in the numbering too; they are counted once.
 
         So are those that a publisher's numbers and the network both know to be lost.
         """
         sources = self._sources
         gaps = [max(ours, theirs) for ours, theirs in zip(sources.missed, self._missed, strict=True)]
-        columns = zip(self.keys, self._shed, gaps, sources.unknown, sources.reasons, strict=True)
+        columns = zip(self.keys, self._shed, self._oversized, gaps, strict=True)
         return {
-            key: Losses(shed, max(missed - shed, 0), unknown, reason) for key, shed, missed, unknown, reason in columns
+            key: Losses(
+                shed=shed,
+                missed=max(missed - shed - oversized, 0),
+                unknown=sources.unknown[number] + oversized,
+                reason=sources.reasons[number] or (f"{oversized} payloads were too large" if oversized else ""),
+            )
+            for number, (key, shed, oversized, missed) in enumerate(columns)
         }
 
 

@@ -19,7 +19,7 @@ from fuselog.service.transport import open_session, service_endpoints
 
 _CONNECT_S = 10.0
 _HTTP_S = 5.0  # for answers under way at the end
-_TEND_S = 1.0
+_TEND_S = 1.0  # at most between two looks at what may wait for a disk
 _SWITCH_S = 0.0005  # a thread of the network waits for the interpreter as long as this where another computes
 _SHARED = ("zenoh", "http")  # what a service has once: said in the first configuration
 
@@ -66,7 +66,8 @@ def serve(
                 fleet = Fleet(groups, session, ended=stop.set, snapshot=snapshot)
                 served.fleet = fleet
                 started(_address(listener, "https" if tls else "http"))
-                while not stop.wait(_TEND_S):
+                every_s = _tend_every_s(plans)
+                while not stop.wait(every_s):
                     fleet.tend()
                     if reload is not None and reload.is_set():
                         reload.clear()
@@ -85,6 +86,12 @@ def _reloaded(fleet: Fleet) -> list[str]:
         return fleet.reload()
     except FuselogError as error:
         return [f"not reloaded: {error}"]
+
+
+def _tend_every_s(plans: Sequence[Plan]) -> float:
+    """A checkpoint is to be made as often as its filter wants it."""
+    wanted = [plan.config.checkpoint.every for plan in plans if plan.config.checkpoint is not None]
+    return min([_TEND_S, *wanted])
 
 
 def _check_shared(plans: Sequence[Plan]) -> None:

@@ -10,6 +10,7 @@ from fuselog.fusion.ledger import Account
 from fuselog.fusion.report import estimate_json
 from fuselog.replay.recording import RecordingStatus
 from fuselog.service.live.member import Snapshot
+from fuselog.service.live.runner import Unknown
 from fuselog.service.recording.record import status_json
 from fuselog.service.rest.plain import Number, by_name, many, model_of, plain
 
@@ -94,6 +95,8 @@ LedgerAnswer = create_model(
     unpublished=(int, Field(description="results dropped because subscribers were too slow")),
 )
 
+UnknownAnswer = model_of(Unknown)
+
 
 def state_plain(plan: Plan, estimate: Estimate) -> dict[str, Any]:
     """An estimate."""
@@ -118,6 +121,7 @@ def health_plain(snapshot: Snapshot) -> dict[str, Any]:
     health: dict[str, Any] = plain(snapshot.health)
     dropped, recording = snapshot.unpublished, snapshot.recording
     wrong = [f"{dropped} results not published: subscribers are too slow"] if dropped else []
+    wrong += [f"no checkpoint could be written: {snapshot.unsaved}"] if snapshot.unsaved else []
     wrong += [] if recording is None else _recording_reasons(recording)
     health["reasons"] = [*wrong, *health["reasons"]]
     if wrong and health["status"] == "healthy":
