@@ -7,10 +7,10 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import TypeVar
 
+from fuselog.fusion.captures import Captures
 from fuselog.schemas import FuselogError
 from fuselog.service.live.group import Group
 from fuselog.service.live.inbox import Arrival, Inbox, Request
-from fuselog.service.live.keys import Captures
 from fuselog.service.live.member import Member, Snapshot
 from fuselog.service.live.sources import Numbered
 

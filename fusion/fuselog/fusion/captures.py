@@ -2,13 +2,16 @@
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
-from fuselog.fusion.intake import same_topic
+from fuselog.fusion.config import Problem, parse_config
+from fuselog.fusion.intake import Intake, same_topic
+from fuselog.fusion.plan import Plan, compile_plan
 
 _CAPTURE = re.compile(r"\{([a-z_][a-z0-9_]*)\}")
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+DEFAULT_ID = "filter"
 
 Captures = tuple[tuple[str, str], ...]  # (name, what stands for it), in the order of the names
 
@@ -58,6 +61,42 @@ def fill(text: str, captures: Captures) -> str:
     """A text with what stands for its captures."""
     values: Mapping[str, str] = dict(captures)
     return _CAPTURE.sub(lambda match: values.get(match[1], match[0]), text)
+
+
+def patterns_of(plan: Plan) -> tuple[KeyPattern, ...]:
+    """The topics that its filters read."""
+    return tuple(KeyPattern(topic) for topic in Intake(plan).topics)
+
+
+def plan_of(plan: Plan, captures: Captures) -> Plan:
+    """The plan of one filter of those that ``plan`` makes; itself where nothing is captured."""
+    if not captures:
+        return plan
+    one = compile_plan(*parse_config(fill(plan.source.text, captures), name=plan.source.name))
+    return replace(one, config=one.config.model_copy(update={"id": id_of(plan, captures)}))
+
+
+def id_of(plan: Plan, captures: Captures) -> str:
+    """What such a filter is called: as its configuration says, by its names where that says nothing."""
+    given = plan.config.id
+    if captures and given == DEFAULT_ID:
+        return "-".join(name for _, name in captures)
+    return fill(given, captures)
+
+
+def require_none(plan: Plan) -> None:
+    """Raise ``ConfigError`` where topics capture names: it is no single filter."""
+    names = captured(pattern.topic for pattern in patterns_of(plan))
+    if names:
+        places = ((("sensors", sensor.name, "topic"), captured([sensor.settings.topic])) for sensor in plan.sensors)
+        reason = "stands for many names, each with a filter of its own; write one name in its place"
+        raise plan.source.complain([Problem(place, f"{{{some[0]}}} {reason}") for place, some in places if some])
+
+
+def filters_in(plan: Plan, topics: Iterable[str]) -> list[Captures]:
+    """The filters that ``plan`` makes of these topics, by their names."""
+    patterns = [pattern for pattern in patterns_of(plan) if pattern.names]
+    return sorted({found for topic in topics for p in patterns if (found := p.match(same_topic(topic)))})
 
 
 class ByPattern(Mapping[str, str]):
