@@ -71,10 +71,17 @@ def shown(page: Page) -> dict[str, str]:
 def at_end(page: Page, service: StatusService) -> dict[str, str]:
     """Wait until all filters are there and the page shows each as the service says that it is."""
     end = time.monotonic() + 30
-    while (found := shown(page)) != (said := service.statuses()) or len(said) < ROBOTS + 6:
-        assert time.monotonic() < end, (found, said)
+    while (listed := shown(page)) != (said := service.statuses()) or len(said) < ROBOTS + 6:
+        assert time.monotonic() < end, (listed, said)
         time.sleep(0.1)
     return said
+
+
+def found(pattern: str, text: str) -> str:
+    """The first part of a text that is like this."""
+    match = re.search(pattern, text)
+    assert match is not None, (pattern, text)
+    return match[0]
 
 
 def choose(page: Page, id: str) -> None:
@@ -122,7 +129,7 @@ def test_a_filter_and_its_sensors(service: StatusService, open_page: Open) -> No
         assert row.startswith(f"{name}\n")
         assert sensor["topic"] in row
         assert re.search(rf"\b{sensor['status']}\b", row)
-        rate = float(re.search(r"([\d.]+)\s*/ [\d.]+", row)[1])
+        rate = float(found(r"[\d.]+(?=\s*/ [\d.]+)", row))
         assert rate == pytest.approx(sensor["rate"]["hz"], rel=0.05)
     accounts = {row[0]: [int(cell.replace("\u202f", "")) for cell in row[1:4]] for row in cells}
     for name in after:
@@ -145,7 +152,7 @@ def test_changes_are_logged_and_said(service: StatusService, open_page: Open) ->
     page.wait("document.querySelector('#list [data-id=blind] .why').innerText.includes('camera')", 15)
     lines = [line for line in page.texts("#changes li") if "blind" in line and "camera: " in line and "silent" in line]
     assert len(lines) == 1
-    told = datetime.fromisoformat(re.search(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+(?= UTC)", lines[0])[0])
+    told = datetime.fromisoformat(found(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+(?= UTC)", lines[0]))
     assert 0 < (told - covered).total_seconds() < 15
     assert service.statuses()["blind"] in lines[0]
     assert any("blind is" in said and "silent" in said for said in page.evaluate("window.said"))
@@ -327,7 +334,7 @@ def test_any_width(service: StatusService, open_page: Open) -> None:
 def test_theme_is_remembered(service: StatusService, open_page: Open) -> None:
     """System, light, dark: the choice outlives a reload, and the system's does not change it."""
     page = open_page(service.url)
-    seen = []
+    seen: list[tuple[str, str]] = []
     for _ in range(3):
         page.click("#theme")
         seen.append((page.evaluate("document.documentElement.className"), page.text("#theme")))

