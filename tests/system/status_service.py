@@ -105,7 +105,12 @@ class StatusService:
 
             def put(key: str, kind: str, t_ns: int, *values: float, media: str = "") -> None:
                 payload = encoders[kind].encode(np.array([t_ns]), np.array([values]))[0].tobytes()
-                session.put(key, payload, encoding=media or f"application/cdr;{kind}", **_IN_ORDER)
+                session.put(
+                    key,
+                    payload,
+                    encoding=media or f"application/cdr;{kind}",
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                )
 
             n = 0
             while not self._over.wait(max(0.0, (begun - time.time_ns()) / 1e9 + n * 0.02)):
@@ -123,6 +128,3 @@ class StatusService:
                     for robot in range(ROBOTS):
                         put(f"robots/{robot}/camera", _POSE, t_ns, 0.1 * random.normal(), 0.0)
                 n += 1
-
-
-_IN_ORDER: dict[str, Any] = {"congestion_control": zenoh.CongestionControl.BLOCK}

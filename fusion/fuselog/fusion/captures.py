@@ -1,13 +1,14 @@
 """Topics that stand for many keys: ``fleet/{robot}/imu`` is one key for each robot."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 from fuselog.fusion.config import Problem, parse_config
 from fuselog.fusion.intake import Intake, same_topic
 from fuselog.fusion.plan import Plan, compile_plan
+from fuselog.schemas import ConfigError
 
 _CAPTURE = re.compile(r"\{([a-z_][a-z0-9_]*)\}")
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
@@ -84,19 +85,40 @@ def id_of(plan: Plan, captures: Captures) -> str:
     return fill(given, captures)
 
 
+def captures_of(plan: Plan) -> tuple[str, ...]:
+    """The names that its topics capture; none where it is one filter."""
+    return captured(pattern.topic for pattern in patterns_of(plan))
+
+
 def require_none(plan: Plan) -> None:
     """Raise ``ConfigError`` where topics capture names: it is no single filter."""
-    names = captured(pattern.topic for pattern in patterns_of(plan))
-    if names:
-        places = ((("sensors", sensor.name, "topic"), captured([sensor.settings.topic])) for sensor in plan.sensors)
-        reason = "stands for many names, each with a filter of its own; write one name in its place"
-        raise plan.source.complain([Problem(place, f"{{{some[0]}}} {reason}") for place, some in places if some])
+    places = ((("sensors", sensor.name, "topic"), captured([sensor.settings.topic])) for sensor in plan.sensors)
+    reason = "stands for many names, each with a filter of its own; write one name in its place"
+    problems = [Problem(place, f"{{{names[0]}}} {reason}") for place, names in places if names]
+    if problems:
+        raise plan.source.complain(problems)
 
 
-def filters_in(plan: Plan, topics: Iterable[str]) -> list[Captures]:
-    """The filters that ``plan`` makes of these topics, by their names."""
+def chosen(plan: Plan, topics: Iterable[str], only: Sequence[str]) -> list[Captures]:
+    """The filters that ``plan`` makes of the topics of a log; ``only``: the one with these ``NAME=VALUE``.
+
+    Raises ``ConfigError`` for names that no topic captures, for some of them without the others, and where the topics
+    have none.
+    """
+    names = captures_of(plan)
+    if only:
+        given = tuple(sorted((name, value) for name, _, value in (each.partition("=") for each in only)))
+        if tuple(name for name, _ in given) != names or any(_NAME.fullmatch(value) is None for _, value in given):
+            wanted = " ".join(f"--only {name}=VALUE" for name in names) or "no topic captures a name: leave --only out"
+            raise ConfigError([f"{plan.source.name}: {wanted}"])
+        return [given]
+    if not names:
+        return [()]
     patterns = [pattern for pattern in patterns_of(plan) if pattern.names]
-    return sorted({found for topic in topics for p in patterns if (found := p.match(same_topic(topic)))})
+    found = {match for topic in topics for p in patterns if (match := p.match(same_topic(topic))) is not None}
+    if not found:
+        raise ConfigError([f"{plan.source.name}: no topic of the log is as {patterns[0].topic}"])
+    return sorted(found)
 
 
 class ByPattern(Mapping[str, str]):
