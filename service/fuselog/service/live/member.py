@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuselog.fusion import Estimate, Filter, Ledger, Outputs, Plan, Track, join_tracks
+from fuselog.fusion.captures import Captures, fill
 from fuselog.fusion.commands import Command, Configure
 from fuselog.fusion.health import (
     Health,
@@ -26,7 +27,6 @@ from fuselog.fusion.sealed import CheckpointError, seal, unseal
 from fuselog.replay.recording import RecordingStatus
 from fuselog.schemas import FuselogError
 from fuselog.service.live.group import Group
-from fuselog.service.live.keys import Captures, fill
 from fuselog.service.live.outbox import Outbox
 from fuselog.service.live.sources import Numbered, Progress, Sources
 from fuselog.service.streams import Learn, Streams, stream_types
