@@ -105,7 +105,7 @@ class StatusService:
 
             def put(key: str, kind: str, t_ns: int, *values: float, media: str = "") -> None:
                 payload = encoders[kind].encode(np.array([t_ns]), np.array([values]))[0].tobytes()
-                session.put(
+                session.put(  # pyright: ignore[reportUnknownMemberType]  its return value has no type
                     key,
                     payload,
                     encoding=media or f"application/cdr;{kind}",
