@@ -22,6 +22,7 @@ from fuselog.fusion.health import Recent, assess, no_samples, remember
 from fuselog.replay.recording import Recording, RecordingStatus, RecordOptions
 from fuselog.schemas import CdrEncoder, Messages, definition, pack
 from fuselog.service.live.member import Snapshot
+from fuselog.service.live.runner import Unknown
 from fuselog.service.rest.app import create_app
 from fuselog.service.rest.auth import Access, Token
 from fuselog.service.rest.http import HttpServer, bind
@@ -110,6 +111,11 @@ class Robot:
     def end(self) -> None:
         """It is gone."""
         self.gone = dict(self.snapshots())
+
+    @property
+    def unknown(self) -> Unknown:
+        """Nothing."""
+        return Unknown(0, {})
 
     def estimate_at(self, id: str, t_ns: int) -> Estimate:
         """The newest, where it is of this time."""

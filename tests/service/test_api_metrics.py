@@ -9,6 +9,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from fuselog.fusion.health import Losses
 from fuselog.service.live.member import Snapshot
+from fuselog.service.live.runner import Unknown
 from fuselog.service.rest.metrics import MOST_LABELS, bounded
 
 from .conftest import ROBOT, Client, Robot
@@ -59,6 +60,11 @@ class Fleet:
         """Each under another name."""
         return {f"robot-{i}": self._snapshot for i in range(self._size)}
 
+    @property
+    def unknown(self) -> Unknown:
+        """Some."""
+        return Unknown(7, {"fleet/x/gps": "too many"})
+
     def ended(self) -> Mapping[str, Snapshot]:
         """None."""
         return {}
@@ -75,6 +81,7 @@ def test_labels_are_bounded(client: Make, driving: Robot) -> None:
     assert found["fuselog_samples_total", "other", "other", "other"] > 0
     assert sum(n for (name, *_), n in found.items() if name == "fuselog_lost_total") == 900
     assert sum(n for (name, *_), n in found.items() if name == "fuselog_filters") == 300
+    assert found["fuselog_unknown_samples_total",] == 7
 
 
 @pytest.mark.parametrize(("kind", "rest"), [("counter", 3.0), ("gauge", 2.0)])

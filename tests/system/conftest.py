@@ -1,7 +1,6 @@
 """A service and a player as processes of their own, and a small log that needs nothing from outside."""
 
 import json
-import os
 import signal
 import socket
 import subprocess
@@ -9,7 +8,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,31 +81,43 @@ def live_config(folder: Path, text: str) -> tuple[Path, str, int]:
     return path, endpoint, port
 
 
+def start(
+    path: Path, endpoint: str, port: int, *, others: Sequence[Path] = (), program: Sequence[str] = FUSELOG
+) -> Service:
+    """Start a service and wait until it is ready; whoever starts it ends it. ``others``: its other configurations."""
+    process = subprocess.Popen([*program, "serve", *map(str, (path, *others))], stderr=subprocess.PIPE, text=True)
+    service = Service(process, endpoint, f"http://127.0.0.1:{port}", path)
+    end = time.monotonic() + 120  # a cold cache compiles
+    while time.monotonic() < end:
+        try:
+            service.get("/health/ready")
+            return service
+        except (urllib.error.URLError, ConnectionError):
+            assert process.poll() is None, process.communicate()[1]
+            time.sleep(0.05)
+    process.kill()
+    raise TimeoutError(f"the service does not get ready: {process.communicate()[1]}")
+
+
+def kill(service: Service) -> None:
+    """End a service at once, if it still runs."""
+    if service.process.poll() is None:
+        service.process.kill()
+    service.process.communicate()
+
+
 @pytest.fixture
 def serve(tmp_path: Path) -> Iterator[Callable[[str], Service]]:
     """Start a service with this configuration (without addresses) and wait until it is ready."""
-    started: list[subprocess.Popen[str]] = []
+    started: list[Service] = []
 
-    def start(text: str) -> Service:
-        path, endpoint, port = live_config(tmp_path, text)
-        process = subprocess.Popen([*FUSELOG, "serve", str(path)], stderr=subprocess.PIPE, text=True)
-        started.append(process)
-        service = Service(process, endpoint, f"http://127.0.0.1:{port}", path)
-        end = time.monotonic() + 120  # a cold cache compiles
-        while time.monotonic() < end:
-            try:
-                service.get("/health/ready")
-                return service
-            except (urllib.error.URLError, ConnectionError):
-                assert process.poll() is None, process.communicate()[1]
-                time.sleep(0.05)
-        raise TimeoutError("the service does not get ready")
+    def begin(text: str) -> Service:
+        started.append(start(*live_config(tmp_path, text)))
+        return started[-1]
 
-    yield start
-    for process in started:
-        if process.poll() is None:
-            os.kill(process.pid, signal.SIGKILL)
-        process.communicate()
+    yield begin
+    for service in started:
+        kill(service)
 
 
 @pytest.fixture(scope="session")

@@ -1,12 +1,11 @@
 """Checkpoints of filters on disk: one file for each, replaced as a whole."""
 
 import os
-from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 _SUFFIX = ".checkpoint"
 _LARGEST = 256 << 20  # bytes that are read of one
-_MOST = 10_000
 
 
 def write_checkpoint(folder: Path, id: str, data: bytes) -> None:
@@ -33,11 +32,5 @@ def read_checkpoint(folder: Path, id: str) -> bytes | None:
 
 def remove_checkpoint(folder: Path, id: str) -> None:
     """Forget the checkpoint of a filter."""
-    (folder / f"{id}{_SUFFIX}").unlink(missing_ok=True)
-
-
-def checkpointed(folder: Path) -> Iterator[str]:
-    """The filters that have one."""
-    if folder.is_dir():
-        for _, path in zip(range(_MOST), sorted(folder.glob(f"*{_SUFFIX}")), strict=False):
-            yield path.name.removesuffix(_SUFFIX)
+    with suppress(OSError):  # it can be tried again
+        (folder / f"{id}{_SUFFIX}").unlink(missing_ok=True)

@@ -14,10 +14,10 @@ from typing import Literal, TypeVar
 import zenoh
 
 from fuselog.fusion import Estimate, load_plan
-from fuselog.fusion.captures import ByPattern, Captures
+from fuselog.fusion.captures import ByPattern, Captures, KeyPattern
 from fuselog.fusion.commands import Command, CommandError, Configure
 from fuselog.replay.recording import RecordingStatus
-from fuselog.service.live.checkpoints import read_checkpoint, write_checkpoint
+from fuselog.service.live.checkpoints import read_checkpoint, remove_checkpoint, write_checkpoint
 from fuselog.service.live.group import Group, make_group
 from fuselog.service.live.inbox import Inbox
 from fuselog.service.live.member import Member, Snapshot
@@ -29,7 +29,7 @@ from fuselog.service.progress import tell_progress
 from fuselog.service.recording.filter_recorder import FilterRecorder
 from fuselog.service.streams import Announcements, learn, stream_types
 from fuselog.service.threads import Worker, WorkerError
-from fuselog.service.zenoh_door import subscribe
+from fuselog.service.zenoh_door import subscribe, subscribe_reliably
 
 _PUBLISH_S = 10.0  # for what is left at the end
 _STUCK_S = 10.0  # a turn of the filters that takes longer is a failure of liveness
@@ -60,16 +60,13 @@ class Fleet:
         self._post, self._told = Post(), Announcements(session, outputs=True)
         self._source = secrets.token_bytes(16)
         self._saved_at: dict[Group, float] = {}
-        self.unsaved: dict[str, str] = {}  # filters whose last checkpoint could not be written, and why
+        self._unsaved: dict[str, str] = {}  # filters whose last checkpoint could not be written, and why
         asked = snapshot or threading.Event()
         self._recorders = {group: recorder for group in groups if (recorder := _recorder(group, session, asked))}
         self._runner = Runner(groups, Inbox(), self._make)
         self._publishing = Worker("publisher", self._post.run, ended)
         self._fusing = Worker("filter", self._runner.run, ended)
-        self._unsubscribe = [
-            subscribe(session, expression, partial(self._take, number, self._recorders.get(group)))
-            for number, (group, expression) in enumerate(self._runner.expressions)
-        ]
+        self._unsubscribe = [self._subscribe(number, *each) for number, each in enumerate(self._runner.subscriptions)]
         # Last, for a player takes the answer as a sign that all subscriptions have been announced before.
         self._fall_silent = [
             tell_progress(session, _plain(group.plan.config.id), partial(self._progress, group)) for group in groups
@@ -88,7 +85,7 @@ class Fleet:
 
     def snapshots(self) -> Mapping[str, Snapshot]:
         """The filters as they were a moment ago."""
-        return {id: self._with_recording(id, snapshot) for id, snapshot in self._runner.snapshots.items()}
+        return {id: self._with_files(id, snapshot) for id, snapshot in self._runner.snapshots.items()}
 
     def ended(self) -> Mapping[str, Snapshot]:
         """The last snapshot of filters that expired, or that ``finish`` ended."""
@@ -121,7 +118,9 @@ class Fleet:
 
     def record(self, id: str, what: Literal["start", "stop", "snapshot"]) -> RecordingStatus:
         """As ``Served``."""
-        recorder = self._recorders.get(self._runner.group_of(id))
+        if id not in self._runner.snapshots:
+            raise KeyError(id)
+        recorder = self._recorder_of(id)
         if recorder is None:
             raise CommandError("the configuration has no section record")
         return recorder.command(what)
@@ -131,6 +130,7 @@ class Fleet:
         for recorder in self._recorders.values():
             recorder.tend()
         self._save_some()
+        self._forget_expired()
 
     def finish(self) -> None:
         """Take no more, fuse and publish what has come; raises ``WorkerError`` for a thread that failed."""
@@ -178,14 +178,33 @@ class Fleet:
                 self._save(group, id, data)
             self._saved_at |= dict.fromkeys(due, time.monotonic())
 
+    def _forget_expired(self) -> None:
+        """A filter that expired begins anew when its topics come back, and its file does not stay for ever."""
+        for id, snapshot in self._runner.ended.items():
+            if snapshot.plan.config.checkpoint is not None and id not in self._runner.snapshots:
+                remove_checkpoint(Path(snapshot.plan.config.checkpoint.folder), id)
+                self._unsaved.pop(id, None)
+
     def _save(self, group: Group, id: str, data: bytes) -> None:
         settings = group.plan.config.checkpoint
         assert settings is not None
         try:
             write_checkpoint(Path(settings.folder), id, data)
-            self.unsaved.pop(id, None)
+            self._unsaved.pop(id, None)
         except OSError as error:  # the filters go on
-            self.unsaved[id] = error.strerror or str(error)
+            self._unsaved[id] = error.strerror or str(error)
+
+    def _subscribe(self, number: int, group: Group, pattern: KeyPattern) -> Callable[[], None]:
+        take = partial(self._take, number, self._recorders.get(group))
+        topics = {sensor.settings.topic: sensor.settings for sensor in group.plan.sensors}
+        if pattern.topic in topics and topics[pattern.topic].reliable:
+            missed = partial(self._miss, number)
+            return subscribe_reliably(self._session, pattern.expression, take, missed=missed)
+        return subscribe(self._session, pattern.expression, take)
+
+    def _miss(self, number: int, _publisher: str, count: int) -> None:
+        """Samples that nobody has any more, on the network thread."""
+        self._runner.missed[number] += count
 
     def _take(self, number: int, recorder: FilterRecorder | None, sample: zenoh.Sample) -> None:
         """A sample on the network thread; recorded first, for the filter may hold it up."""
@@ -216,9 +235,14 @@ class Fleet:
         except TimeoutError as error:
             raise CommandError("the filter has not answered in time") from error
 
-    def _with_recording(self, id: str, snapshot: Snapshot) -> Snapshot:
-        recorder = self._recorders.get(self._runner.group_of(id))
-        return snapshot if recorder is None else replace(snapshot, recording=recorder.status)
+    def _recorder_of(self, id: str) -> FilterRecorder | None:
+        group = self._runner.group_of(id)
+        return None if group is None else self._recorders.get(group)
+
+    def _with_files(self, id: str, snapshot: Snapshot) -> Snapshot:
+        """A snapshot with what other threads know."""
+        unsaved, recorder = self._unsaved.get(id, ""), self._recorder_of(id)
+        return replace(snapshot, unsaved=unsaved, recording=None if recorder is None else recorder.status)
 
 
 def _recorder(group: Group, session: zenoh.Session, snapshot: threading.Event) -> FilterRecorder | None:

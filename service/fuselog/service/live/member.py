@@ -36,6 +36,15 @@ _ABOUT = {"kind": "member of a service"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Delay:
+    """From the arrival of a sample to the publication of its results, s: of the last thousand batches."""
+
+    median_s: float
+    p99_s: float
+    most_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
     """A filter at one moment. Never changed, only replaced: who holds one may read it on any thread."""
 
@@ -48,8 +57,10 @@ class Snapshot:
     losses: dict[str, Losses]  # by key
     progress: dict[str, dict[str, Progress]]  # by publisher and key
     unpublished: int
+    delay: Delay | None = None  # None while nothing was published
     last_arrival: float | None  # monotonic s
     origin: str  # how it began: anew, or from a checkpoint, or why not from that
+    unsaved: str = ""  # why the last checkpoint could not be written
     recording: RecordingStatus | None = None  # None: there is to be none
 
 
@@ -60,16 +71,13 @@ class Member:
         self.group, self.outbox = group, outbox
         self._captures = captures
         self._given = plan.source.text  # the configuration at the start; a command may have put another there
-        self.filter = Filter(plan, order="as_received", compare=True)
-        self.keys = [same_topic(topic) for topic in self.filter.intake.topics]
+        self._plan, self._learn = plan, learn
+        self._begin()
         self.last_arrival: float | None = None  # monotonic s
         self._outputs = Outputs(plan)
-        types = {sensor.settings.topic: sensor.settings.type for sensor in plan.sensors}
-        self._streams = Streams(self.filter.intake, stream_types(types), learn)
-        self._sources = Sources(self.keys, self._streams.identify)
         self._recent = no_samples(plan)
         self._tracks: list[Track] = []  # since the last look
-        self._shed = [0] * len(self.keys)
+        self._shed, self._oversized, self._missed = ([0] * len(self.keys) for _ in range(3))
         self._origin = "it began anew"
         self._memory: HealthMemory = no_judgement()
         self._changes: deque[HealthChange] = deque(maxlen=_MOST_CHANGES)
@@ -85,7 +93,7 @@ class Member:
     def feed(self, arrivals: Sequence[Numbered]) -> None:
         """Fuse samples of ``keys``, by their numbers, and give the results away."""
         self.last_arrival = time.monotonic()
-        self._give(self.filter.feed(self._sources.batch(arrivals)))
+        self._give(self.filter.feed(self._sources.batch(arrivals)), since_ns=arrivals[0].arrival_ns)
 
     def command(self, command: Command, asked_ns: int) -> None:
         """Follow a command asked for at ``asked_ns``; raises ``CommandError`` or ``ConfigError`` where it cannot.
@@ -100,16 +108,23 @@ class Member:
             self._give(self.filter.feed(self._sources.batch([])))
             raise
 
-    def look(self, shed: Sequence[int]) -> None:
-        """Renew the snapshot; ``shed``: samples of each key that were not let in."""
-        self._shed = list(shed)
+    def turn_away(self, *, shed: Sequence[int], oversized: Sequence[int], missed: Sequence[int]) -> None:
+        """So many samples of each key have not come in so far.
+
+        For want of room, as too large, and by what the network says of those that it could not bring.
+        """
+        self._shed, self._oversized, self._missed = list(shed), list(oversized), list(missed)
+
+    def look(self) -> None:
+        """Renew the snapshot."""
         self.snapshot = self._look()
 
     def watch(self) -> None:
         """Judge the health anew and publish it; to be called at least twice a second."""
         self._judge()
-        payload = health_message(self._health, filter_id=self.id, frame=self.filter.plan.config.output.frame)
-        self.outbox.tell_health(payload, self._health.t_ns or 0)
+        if self.outbox.health_wanted:
+            payload = health_message(self._health, filter_id=self.id, frame=self.filter.plan.config.output.frame)
+            self.outbox.tell_health(payload, self._health.t_ns or 0)
         self.snapshot = self._look()
 
     def finish(self) -> None:
@@ -140,6 +155,7 @@ class Member:
             age_s = (time.time_ns() - tree["at_ns"]) / 1e9
             self._origin = f"it went on from a checkpoint that was {age_s:.1f} s old"
         except (FuselogError, LookupError, AttributeError, TypeError, ValueError) as error:
+            self._begin()  # nothing of a checkpoint that holds in part
             self._origin = f"it began anew: {error}"
         self._judge()
         self.snapshot = self._look()
@@ -148,9 +164,17 @@ class Member:
         """By publisher and key, exact."""
         return self._sources.progress()
 
-    def _give(self, track: Track) -> None:
+    def _begin(self) -> None:
+        self.filter = Filter(self._plan, order="as_received", compare=True)
+        self.keys = [same_topic(topic) for topic in self.filter.intake.topics]
+        types = {sensor.settings.topic: sensor.settings.type for sensor in self._plan.sensors}
+        self._streams = Streams(self.filter.intake, stream_types(types), self._learn)
+        self._sources = Sources(self.keys, self._streams.identify)
+
+    def _give(self, track: Track, *, since_ns: int | None = None) -> None:
         self._tracks.append(track)
-        self.outbox.offer(self._outputs.encode(track, self.filter.beside()))
+        encoded = self._outputs.encode(track, self.filter.beside(), wanted=self.outbox.wanted)
+        self.outbox.offer(encoded, since_ns=since_ns)
 
     def _remember(self) -> None:
         if self._tracks:
@@ -176,7 +200,7 @@ class Member:
             wall_ns = time.time_ns() - time.monotonic_ns()
             self._changes.extend(change._replace(t_ns=change.t_ns + wall_ns) for change in self._memory.changes)
             self._shown = tuple(self._changes)
-        self._health = self._memory.health
+        self._health, self._delay = self._memory.health, _delay(self.outbox.latencies_ns.copy())
         return self._health
 
     def _look(self) -> Snapshot:
@@ -191,14 +215,32 @@ class Member:
             losses=self._losses(),
             progress=self._sources.progress(),
             unpublished=self.outbox.dropped,
+            delay=self._delay,
             last_arrival=self.last_arrival,
             origin=self._origin,
         )
 
     def _losses(self) -> dict[str, Losses]:
-        """Samples that were shed show as gaps in the numbering too; they are counted once."""
+        """Samples that were not let in show as gaps in the numbering too; they are counted once.
+
+        So are those that a publisher's numbers and the network both know to be lost.
+        """
         sources = self._sources
-        columns = zip(self.keys, self._shed, sources.missed, sources.unknown, sources.reasons, strict=True)
+        gaps = [max(ours, theirs) for ours, theirs in zip(sources.missed, self._missed, strict=True)]
+        columns = zip(self.keys, self._shed, self._oversized, gaps, strict=True)
         return {
-            key: Losses(shed, max(missed - shed, 0), unknown, reason) for key, shed, missed, unknown, reason in columns
+            key: Losses(
+                shed=shed,
+                missed=max(missed - shed - oversized, 0),
+                unknown=sources.unknown[number] + oversized,
+                reason=sources.reasons[number] or (f"{oversized} payloads were too large" if oversized else ""),
+            )
+            for number, (key, shed, oversized, missed) in enumerate(columns)
         }
+
+
+def _delay(latencies_ns: deque[int]) -> Delay | None:
+    if not latencies_ns:
+        return None
+    median, p99, most = np.percentile(np.array(latencies_ns) / 1e9, (50, 99, 100)).tolist()
+    return Delay(median_s=median, p99_s=p99, most_s=most)

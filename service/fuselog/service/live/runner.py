@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import TypeVar
 
-from fuselog.fusion.captures import Captures
+from fuselog.fusion.captures import Captures, KeyPattern
 from fuselog.schemas import FuselogError
 from fuselog.service.live.group import Group
 from fuselog.service.live.inbox import Arrival, Inbox, Request
@@ -44,12 +44,16 @@ class Runner:
     def __init__(self, groups: Sequence[Group], inbox: Inbox, make: Make) -> None:
         self.inbox = inbox
         self._make = make
-        self._subscriptions = [(group, pattern) for group in groups for pattern in group.patterns]
+        self._subscriptions: list[tuple[Group, KeyPattern]] = [
+            (group, pattern) for group in groups for pattern in group.patterns
+        ]
         self._members: dict[str, Member] = {}
         self._ids: dict[tuple[Group, Captures], str] = {}
         self._routes: dict[tuple[int, str], list[Target]] = {}
+        self.missed: Counter[int] = Counter()  # by subscription: what the network could not bring any more
         self._unknown: OrderedDict[str, str] = OrderedDict()
         self._unknown_samples = 0
+        self._impossible: OrderedDict[tuple[Group, Captures], str] = OrderedDict()
         self._ended: OrderedDict[str, Snapshot] = OrderedDict()
         self._stopping = False
         self.last_checkpoints: list[tuple[Group, str, bytes]] = []  # when ``run`` is over
@@ -64,9 +68,9 @@ class Runner:
         self._show()
 
     @property
-    def expressions(self) -> list[tuple[Group, str]]:
-        """What to subscribe to, and for whom, by number of the subscription."""
-        return [(group, pattern.expression) for group, pattern in self._subscriptions]
+    def subscriptions(self) -> list[tuple[Group, KeyPattern]]:
+        """What to subscribe to, and for whom, by number."""
+        return self._subscriptions
 
     def ask(self, id: str, question: Callable[[Member], T]) -> "Future[T]":
         """Have a question answered by the thread that owns the filter, after all that has come."""
@@ -94,9 +98,10 @@ class Runner:
         self.inbox.ask(do)
         return future
 
-    def group_of(self, id: str) -> Group:
-        """The group of a filter; ``KeyError`` where there is none."""
-        return self._members[id].group
+    def group_of(self, id: str) -> Group | None:
+        """The group of a filter; None where there is none, or none any more. May be called on any thread."""
+        member = self._members.get(id)
+        return None if member is None else member.group
 
     def stop(self) -> None:
         """Let ``run`` end when the inbox is empty."""
@@ -168,16 +173,17 @@ class Runner:
             return targets or self._refuse(key, "there is no filter yet that it belongs to")
         identity = (group, captures)
         if identity not in self._ids:
-            reason = self._refusal(group, captures)
+            reason = self._refusal(group, captures) or self._try(group, captures)
             if reason:
                 return self._refuse(key, reason)
-            self._begin(group, captures)
         member = self._members[self._ids[identity]]
         self._routes[subscription, key] = [(member, member.keys.index(key))]
         return self._routes[subscription, key]
 
     def _refusal(self, group: Group, captures: Captures) -> str:
         """Why there can be no such filter; empty when there can."""
+        if (group, captures) in self._impossible:
+            return self._impossible[group, captures]
         most = group.plan.config.fleet.most
         if sum(member.group is group for member in self._members.values()) >= most:
             return f"there are {most} filters already (fleet: most)"
@@ -191,11 +197,19 @@ class Runner:
             self._unknown.popitem(last=False)
         return []
 
-    def _begin(self, group: Group, captures: Captures) -> None:
+    def _try(self, group: Group, captures: Captures) -> str:
+        """Begin a filter with a name that somebody has put into a key -> why there can be none."""
         try:
-            member = self._make(group, captures)
-        except FuselogError as error:  # what was compiled with other names before
-            raise AssertionError(error) from error
+            self._begin(group, captures)
+        except FuselogError as error:
+            self._impossible[group, captures] = str(error)
+            if len(self._impossible) > _MOST_UNKNOWN:
+                self._impossible.popitem(last=False)
+            return str(error)
+        return ""
+
+    def _begin(self, group: Group, captures: Captures) -> None:
+        member = self._make(group, captures)
         name = member.id
         self._members[name] = member
         self._ids[group, captures] = name
@@ -223,22 +237,30 @@ class Runner:
     def _watch(self, now: float) -> None:
         self._expire(now)
         for member in self._members.values():
+            self._turn_away(member)
             member.watch()
         self._show()
 
     def _look(self) -> None:
         for name in self._stale & self._members.keys():
             member = self._members[name]
-            member.look(self._shed_of(member))
+            self._turn_away(member)
+            member.look()
         self._stale.clear()
         self._show()
 
-    def _shed_of(self, member: Member) -> list[int]:
-        shed = Counter[str]()
-        for (subscription, key), count in [*self.inbox.shed.items()]:
+    def _turn_away(self, member: Member) -> None:
+        shed, oversized = self._of(self.inbox.shed, member), self._of(self.inbox.oversized, member)
+        lost = {(n, self._subscriptions[n][1].expression): count for n, count in [*self.missed.items()]}
+        member.turn_away(shed=shed, oversized=oversized, missed=self._of(lost, member))
+
+    def _of(self, counted: Mapping[tuple[int, str], int], member: Member) -> list[int]:
+        """How many of each key of a filter."""
+        counts = Counter[str]()
+        for (subscription, key), count in [*counted.items()]:
             if self._subscriptions[subscription][0] is member.group:
-                shed[key] += count
-        return [shed[key] for key in member.keys]
+                counts[key] += count
+        return [counts[key] for key in member.keys]
 
     def _show(self) -> None:
         self.snapshots = {name: member.snapshot for name, member in self._members.items()}

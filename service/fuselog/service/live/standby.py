@@ -8,6 +8,7 @@ from fuselog.fusion.commands import Command
 from fuselog.replay.recording import RecordingStatus
 from fuselog.service.live.fleet import Fleet
 from fuselog.service.live.member import Snapshot
+from fuselog.service.live.runner import Unknown
 
 
 class Standby:
@@ -33,6 +34,11 @@ class Standby:
     def ended(self) -> Mapping[str, Snapshot]:
         """The last of each that is gone."""
         return {} if self.fleet is None else self.fleet.ended()
+
+    @property
+    def unknown(self) -> Unknown:
+        """As ``Served``."""
+        return Unknown(0, {}) if self.fleet is None else self.fleet.unknown
 
     def estimate_at(self, id: str, t_ns: int) -> Estimate:
         """As ``Served``."""

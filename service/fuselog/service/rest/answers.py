@@ -10,6 +10,7 @@ from fuselog.fusion.ledger import Account
 from fuselog.fusion.report import estimate_json
 from fuselog.replay.recording import RecordingStatus
 from fuselog.service.live.member import Snapshot
+from fuselog.service.live.runner import Unknown
 from fuselog.service.recording.record import status_json
 from fuselog.service.rest.plain import Number, by_name, many, model_of, plain
 
@@ -47,6 +48,14 @@ class StateAnswer(BaseModel):
     not_measured_yet: list[str]
 
 
+class DelayAnswer(BaseModel):
+    """From the arrival of a sample to the publication of its results, s: of the last thousand batches."""
+
+    median_s: float
+    p99_s: float
+    most_s: float
+
+
 class RecordingAnswer(BaseModel):
     """The recording of a filter: received = written + waiting + expired + the sum of dropped."""
 
@@ -71,6 +80,7 @@ HealthAnswer = create_model(
     __base__=model_of(Health),
     __doc__="One filter: what is wrong, and why.",
     unpublished=(int, Field(description="results dropped because subscribers were too slow")),
+    delay=(DelayAnswer | None, Field(description="from arrival to publication; null while nothing was published")),
     idle_s=(Number, Field(description="since any sample came, by the clock of the service")),
     recording=(RecordingAnswer | None, Field(description="null when nothing is to be recorded")),
 )
@@ -84,6 +94,8 @@ LedgerAnswer = create_model(
     publishers=(dict[str, dict[str, Any]], Field(description="what came from each publisher, by key")),
     unpublished=(int, Field(description="results dropped because subscribers were too slow")),
 )
+
+UnknownAnswer = model_of(Unknown)
 
 
 def state_plain(plan: Plan, estimate: Estimate) -> dict[str, Any]:
@@ -109,6 +121,7 @@ def health_plain(snapshot: Snapshot) -> dict[str, Any]:
     health: dict[str, Any] = plain(snapshot.health)
     dropped, recording = snapshot.unpublished, snapshot.recording
     wrong = [f"{dropped} results not published: subscribers are too slow"] if dropped else []
+    wrong += [f"no checkpoint could be written: {snapshot.unsaved}"] if snapshot.unsaved else []
     wrong += [] if recording is None else _recording_reasons(recording)
     health["reasons"] = [*wrong, *health["reasons"]]
     if wrong and health["status"] == "healthy":
@@ -116,6 +129,7 @@ def health_plain(snapshot: Snapshot) -> dict[str, Any]:
     return {
         **health,
         "unpublished": dropped,
+        "delay": plain(snapshot.delay),
         "recording": None if recording is None else recording_plain(recording),
     }
 

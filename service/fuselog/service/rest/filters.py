@@ -19,6 +19,7 @@ from fuselog.service.rest.answers import (
     SensorAnswer,
     SensorsAnswer,
     StateAnswer,
+    UnknownAnswer,
     ledger_plain,
     recording_plain,
     state_plain,
@@ -42,6 +43,7 @@ from fuselog.service.rest.decisions import (
     read_cursor,
     sensor_of,
 )
+from fuselog.service.rest.plain import plain
 from fuselog.service.rest.problems import Refused, documented
 from fuselog.service.rest.shown import Shown, whole
 from fuselog.service.rest.waiting import Waiting
@@ -136,6 +138,11 @@ def _add_all(app: FastAPI, shown: Shown) -> None:
         if recording is None:
             raise Refused(404, "the configuration has no section `record`")
         return answer(recording_plain(recording))
+
+    @app.get("/api/v1/unknown", tags=["filters"], operation_id="unknown", response_model=UnknownAnswer)
+    async def unknown_samples() -> Response:  # pyright: ignore[reportUnusedFunction]  the same
+        """Samples of subscribed keys that belong to no filter, and the last thousand of these keys."""
+        return answer(plain(shown.served.unknown))
 
 
 def _add_estimates(app: FastAPI, shown: Shown, waiting: Waiting) -> None:

@@ -48,6 +48,7 @@ class FilterMetrics(Collector):
                     _add(
                         families, "lost", "counter", _HELP["lost"], getattr(losses, term), filter=id, key=key, why=term
                     )
+        _add(families, "unknown_samples", "counter", _HELP["unknown_samples"], self._shown.served.unknown.samples)
         _of_traffic(families, self._traffic)
         for name, family in families.items():
             made = CounterMetricFamily if family.kind == "counter" else GaugeMetricFamily
@@ -65,6 +66,7 @@ _HELP = {
     "samples": "Samples by what became of them; with those pending their sum is what was received",
     "pending": "Samples that wait",
     "lost": "Samples that came to no sensor, by key",
+    "unknown_samples": "Samples of subscribed keys that belong to no filter",
     "sensor_status": "0 ok, 1 waiting, 2 degraded, 3 stale, 4 disabled",
     "recording": "1 while it records",
     "recorded_bytes": "Of all files",

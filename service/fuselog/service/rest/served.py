@@ -7,6 +7,7 @@ from fuselog.fusion import Estimate
 from fuselog.fusion.commands import Command
 from fuselog.replay.recording import RecordingStatus
 from fuselog.service.live.member import Snapshot
+from fuselog.service.live.runner import Unknown
 
 
 class Served(Protocol):
@@ -18,6 +19,11 @@ class Served(Protocol):
 
     def ended(self) -> Mapping[str, Snapshot]:
         """The last snapshot of filters that expired, by id."""
+        ...
+
+    @property
+    def unknown(self) -> Unknown:
+        """Samples that belong to no filter."""
         ...
 
     def estimate_at(self, id: str, t_ns: int) -> Estimate:
