@@ -1,12 +1,7 @@
 """A ``fuselog serve`` of several configurations, and a robot that drives on a circle before it, in real time."""
 
-import json
-import signal
-import subprocess
 import threading
 import time
-import urllib.error
-import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +11,7 @@ import zenoh
 from fuselog.schemas import CdrEncoder, definition
 from fuselog.service.transport import Endpoints, open_session
 
-from .conftest import FUSELOG, UNICYCLE, free_port
+from .conftest import UNICYCLE, free_port, start
 
 ROBOTS = 20
 EVIL = "<img src=x onerror=alert(1)><script>alert(1)</script>"
@@ -48,13 +43,12 @@ class StatusService:
 
     def __init__(self, folder: Path) -> None:
         endpoint, port = f"tcp/127.0.0.1:{free_port()}", free_port()
-        self.url = f"http://127.0.0.1:{port}"
         where = f"zenoh: {{listen: [{endpoint}]}}\nhttp: {{port: {port}}}\n"
         for number, (name, text) in enumerate(CONFIGS.items()):
             (folder / f"{name}.yaml").write_text(text + (where if number == 0 else ""))
-        files = [str(folder / f"{name}.yaml") for name in CONFIGS]
-        self._process = subprocess.Popen([*FUSELOG, "serve", *files], stderr=subprocess.DEVNULL)
-        self._wait_until_ready()
+        first, *others = (folder / f"{name}.yaml" for name in CONFIGS)
+        self._service = start(first, endpoint, port, others=others)
+        self.url = self._service.url
         self._over, self._silent = threading.Event(), threading.Event()
         self._driving = threading.Thread(target=self._drive, args=(endpoint,))
         self._driving.start()
@@ -63,8 +57,8 @@ class StatusService:
         """End the robot, then the service."""
         self._over.set()
         self._driving.join(10)
-        self._process.send_signal(signal.SIGTERM)
-        assert self._process.wait(30) == 0
+        code, said = self._service.end()
+        assert code == 0, said
 
     def silence(self) -> None:
         """Cover the camera of ``blind``."""
@@ -72,23 +66,11 @@ class StatusService:
 
     def ask(self, path: str = "") -> Any:
         """What it answers of its filters."""
-        with urllib.request.urlopen(f"{self.url}/api/v1/filters{path}", timeout=10) as answer:
-            return json.load(answer)
+        return self._service.get(f"/api/v1/filters{path}")
 
     def statuses(self) -> dict[str, str]:
         """What it says of every filter."""
         return {one["id"]: one["status"] for one in self.ask()["filters"]}
-
-    def _wait_until_ready(self) -> None:
-        end = time.monotonic() + 120  # a cold cache compiles
-        while time.monotonic() < end:
-            try:
-                urllib.request.urlopen(f"{self.url}/health/ready", timeout=10).close()
-                return
-            except (urllib.error.URLError, ConnectionError):
-                assert self._process.poll() is None
-                time.sleep(0.05)
-        raise TimeoutError("the service does not get ready")
 
     def _drive(self, endpoint: str) -> None:
         random = np.random.default_rng(7)
@@ -105,7 +87,7 @@ class StatusService:
 
             def put(key: str, kind: str, t_ns: int, *values: float, media: str = "") -> None:
                 payload = encoders[kind].encode(np.array([t_ns]), np.array([values]))[0].tobytes()
-                session.put(
+                session.put(  # pyright: ignore[reportUnknownMemberType]  its return value has no type
                     key,
                     payload,
                     encoding=media or f"application/cdr;{kind}",
