@@ -197,6 +197,8 @@ def report(robots, seconds, sent, seen, accounts, cores, times) -> None:
     print(f"received {received}, {lost}, ledger {'exact' if balanced and received == sent['sent'] else 'WRONG'}")
     quantiles = ", ".join(f"p{q:g} {seen[f'p{q:g}']:.2f}" for q in (50, 90, 99, 99.9))
     print(f"{seen['estimates']} estimates; sample to estimate, ms: {quantiles} (goal p99 {GOAL_MS:g})")
+    delays = [health["delay"]["p99_s"] * 1e3 for health in accounts if health["delay"]]
+    print(f"arrival to publication, as the service says, ms: p99 {max(delays):.2f} in the slowest filter")
     print(f"the service used {cores:.2f} cores (goal {GOAL_CORES:g})")
     if times:
         ms = np.array(times) * 1e3

@@ -43,7 +43,7 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize("header", WRONG, ids=str)
+@pytest.mark.parametrize("header", WRONG, ids=map(str, range(len(WRONG))))
 def test_without_the_right_token_there_is_no_data(client: Make, robot: Robot, header: dict[str, str]) -> None:
     """Everywhere but at the probes: 401, which says how."""
     asked = client(robot, access=ACCESS)

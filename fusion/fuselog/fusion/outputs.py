@@ -1,6 +1,6 @@
 """Tracks as messages: the bytes that the service publishes and the log keeps, the same for both."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,20 +71,18 @@ class Outputs:
         self._odometry_values = Odometry(plan.states, rotates=plan.card.rotates).values
         self._decisions = [_decision_encoder(s.name, s.dof, output.frame) for s in plan.sensors]
 
-    def encode(self, track: Track, beside: Beside | None = None) -> Messages:
+    def encode(self, track: Track, beside: Beside | None = None, *, wanted: Container[int] | None = None) -> Messages:
         """The messages of the next rows of a track: estimate, decision, odometry of each row; then those beside it.
+
+        ``wanted``: of decisions and odometry, which cost most, only those whose stream is in it are made.
 
         ``log_time`` is the time of the estimate, or where nothing was estimated yet, the stamp of the sample; of a
         command, when the last message before it was received, and ``publish_time`` when it was asked for.
         """
         due, rows = self._pace.due(track)
-        jobs = self._estimate_jobs(due, rows)
-        for rank, encoder in enumerate(self._decisions):
-            mine = np.flatnonzero(track.sensor == rank)
-            values = _decision_values(track, mine, self._plan.sensors[rank].dof)
-            stamps = np.clip(track.stamp_ns[mine], 0, _LAST_STAMP)
-            times = np.where(track.t_ns[mine] == NEVER, stamps, track.t_ns[mine])
-            jobs.append(_Job(self._stream["decision"], mine, encoder, stamps, values, times))
+        jobs = self._estimate_jobs(due, rows, odometry=wanted is None or self._stream.get("odometry", -1) in wanted)
+        if wanted is None or self._stream["decision"] in wanted:
+            jobs += self._decision_jobs(track)
         return _encode(jobs + ([] if beside is None else self._beside_jobs(beside, len(track))))
 
     def finish(self) -> Messages:
@@ -97,10 +95,24 @@ class Outputs:
         """The bytes of all estimates among the messages of ``encode``, one after the other."""
         return encoded.data[: int(encoded.length[encoded.stream == 0].sum())]
 
-    def _estimate_jobs(self, due: Track, rows: NDArray[np.int64]) -> list["_Job"]:
+    def _decision_jobs(self, track: Track) -> list["_Job"]:
+        jobs: list[_Job] = []
+        stamps = np.clip(track.stamp_ns, 0, _LAST_STAMP)
+        times = np.where(track.t_ns == NEVER, stamps, track.t_ns)
+        for rank, encoder in enumerate(self._decisions):
+            mine = np.flatnonzero(track.sensor == rank)
+            if not len(mine):
+                continue
+            values = _decision_values(track, mine, self._plan.sensors[rank].dof)
+            jobs.append(_Job(self._stream["decision"], mine, encoder, stamps[mine], values, times[mine]))
+        return jobs
+
+    def _estimate_jobs(self, due: Track, rows: NDArray[np.int64], *, odometry: bool = True) -> list["_Job"]:
+        if not len(due):
+            return []
         table = np.concatenate([due.x, due.P], axis=1)
         jobs = [_Job(0, rows, self._estimate, due.t_ns, table, due.t_ns)]
-        if self._odometry is not None:
+        if odometry and self._odometry is not None:
             values = self._odometry_values(due.x, due.P)
             jobs.append(_Job(self._stream["odometry"], rows, self._odometry, due.t_ns, values, due.t_ns))
         return jobs
@@ -166,6 +178,8 @@ class _Job:
 
 def _encode(jobs: Sequence[_Job]) -> Messages:
     """The messages of all jobs in the order of their rows, each job's bytes in one piece of one buffer."""
+    if len(jobs) == 1:
+        return _encode_one(jobs[0])
     lengths = [np.full(len(job.rows), job.encoder.size) for job in jobs]
     length = np.concatenate([np.empty(0, np.int64), *lengths])
     data, at = np.empty(int(length.sum()), np.uint8), 0
@@ -185,6 +199,21 @@ def _encode(jobs: Sequence[_Job]) -> Messages:
         log_time=times,
         publish_time=np.concatenate([np.empty(0, np.int64), *asked])[order],
         sequence=np.zeros(len(times), np.int64),
+    )
+
+
+def _encode_one(job: _Job) -> Messages:
+    """The same of one job: what a live filter makes mostly, if only its estimate is wanted."""
+    n, size = len(job.rows), job.encoder.size
+    data, _ = job.encoder.encode(job.stamps, job.values)
+    return Messages(
+        stream=np.full(n, job.stream, np.int32),
+        data=data,
+        start=np.arange(n) * size,
+        length=np.full(n, size),
+        log_time=job.times,
+        publish_time=job.times if job.asked is None else job.asked,
+        sequence=np.zeros(n, np.int64),
     )
 
 

@@ -21,3 +21,14 @@ def stop_and_snapshot() -> tuple[threading.Event, threading.Event]:
     signal.signal(signal.SIGINT, end)
     signal.signal(signal.SIGUSR1, ask)
     return stop, snapshot
+
+
+def reload_asked() -> threading.Event:
+    """An event that SIGHUP sets."""
+    asked = threading.Event()
+
+    def ask(_number: int, _frame: FrameType | None) -> None:
+        asked.set()
+
+    signal.signal(signal.SIGHUP, ask)
+    return asked

@@ -34,14 +34,15 @@ class Publisher:
 
     def __init__(self, session: zenoh.Session, key: str, media: str, *, cache: int = 0) -> None:
         self.key = key
-        self._keeps = cache > 0
         quality: dict[str, Any] = {
             "encoding": media,
             "congestion_control": zenoh.CongestionControl.BLOCK,
             "reliability": zenoh.Reliability.RELIABLE,
         }
-        self._publisher = (
-            ext.declare_advanced_publisher(
+        self.wanted = True  # whether anybody subscribes, or may ask later
+        self._listener: zenoh.MatchingListener[None] | None = None
+        if cache:
+            self._publisher = ext.declare_advanced_publisher(
                 session,
                 key,
                 cache=ext.CacheConfig(cache),
@@ -49,16 +50,10 @@ class Publisher:
                 publisher_detection=True,
                 **quality,
             )
-            if self._keeps
-            else session.declare_publisher(key, **quality)
-        )
-
-    @property
-    def wanted(self) -> bool:
-        """Whether anybody subscribes, or may ask later."""
-        if isinstance(self._publisher, ext.AdvancedPublisher):
-            return True
-        return cast(_Matching, self._publisher.matching_status).matching  # an object that is true in any case
+        else:
+            publisher = self._publisher = session.declare_publisher(key, **quality)
+            self._listener = publisher.declare_matching_listener(_on_network_thread(self._match))
+            self._match(publisher.matching_status)
 
     def put(self, payload: bytes, attachment: bytes) -> None:
         """Publish a sample."""
@@ -66,7 +61,12 @@ class Publisher:
 
     def close(self) -> None:
         """Publish no more."""
+        if self._listener is not None:
+            self._listener.undeclare()
         self._publisher.undeclare()
+
+    def _match(self, status: object) -> None:
+        self.wanted = cast(_Matching, status).matching  # an object that is true in any case
 
 
 def subscribe(session: zenoh.Session, key: str, put: Callable[[zenoh.Sample], None]) -> Callable[[], None]:

@@ -375,7 +375,7 @@ class ZenohSettings(Settings):
         None, description="bytes of payload and attachment; larger samples of others are dropped, uncounted"
     )
     cache: Annotated[int, Field(ge=0, le=1_000_000)] = Field(
-        1000, description="samples of each output that are kept for who missed them; 0: none, and no recovery"
+        0, description="samples of each output that are kept for who missed them; 0: none, and no recovery"
     )
     raw: dict[str, Any] = Field(default_factory=dict, description="any other key of Zenoh's configuration by its path")
 

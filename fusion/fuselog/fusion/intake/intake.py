@@ -205,6 +205,9 @@ class Intake:
 
     def _between_transforms(self, messages: Messages) -> Iterator[Ints]:
         """The messages cut into runs, so that static transforms change at the start of a run only."""
+        if not self._tf_streams:
+            yield np.arange(len(messages))
+            return
         told = np.flatnonzero(_carries(messages.stream, self._tf_streams))
         for first, last in zip([0, *told], [*told, len(messages)], strict=True):
             if first in told:
@@ -218,12 +221,13 @@ class Intake:
         batches = [(feed, *batch) for feed in self._feeds for batch in self._ready(feed, messages, index)]
         sizes = [len(places) for _, _, _, places in batches]
         events = blank_events(sum(sizes), self._plan.tables.M)
-        row = np.empty(events.size, np.int64)
-        if batches:
+        row, first = np.arange(events.size), 0
+        if len(batches) > 1:
             rank = np.repeat([feed.sensor.rank for feed, *_ in batches], sizes)
             row[np.lexsort((rank, np.concatenate([places for *_, places in batches])))] = np.arange(len(row))
-        for (feed, source, chosen, _), rows in zip(batches, np.split(row, np.cumsum(sizes)[:-1]), strict=bool(batches)):
-            self._fill(events, rows, feed, source, chosen)
+        for (feed, source, chosen, _), size in zip(batches, sizes, strict=True):
+            self._fill(events, row[first : first + size], feed, source, chosen)
+            first += size
         return events
 
     def _ready(self, feed: _Feed, messages: Messages, index: Ints) -> list[tuple[Messages, Ints, Ints]]:
@@ -234,7 +238,7 @@ class Intake:
             return []
         held = [(batch, np.arange(len(batch)), np.full(len(batch), -1)) for batch in feed.held]
         feed.held.clear()
-        return [*held, (messages, mine, mine)]
+        return [*held, (messages, mine, mine)] if len(mine) else held
 
     def _fill(self, events: Events, rows: Ints, feed: _Feed, messages: Messages, index: Ints) -> None:
         """Decode and bind the messages at ``index``, in their order, into these rows of the events."""
@@ -338,6 +342,8 @@ def _first(
 
 def _samples(feed: _Feed, messages: Messages, index: Ints) -> Ints:
     """Those of a sensor's messages that are samples: not the ones whose ``when`` is 0."""
+    if feed.sensor.settings.when is None:
+        return index
     kept = np.ones(len(index), bool)
     for number, tap in feed.taps.items():
         if tap.when is not None:

@@ -1,6 +1,7 @@
 """Where sensors sit on the body: from the configuration, or from the static transforms of the log or the robot."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +16,14 @@ Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Mount:
     """base_from_sensor: the lever arm (3,) in body axes (m), and the rotation as quaternion (4,) x y z w."""
 
     lever: Floats
     quaternion: Floats
 
-    @property
+    @cached_property
     def matrix(self) -> Floats:
         """The rotation (3, 3)."""
         return matrix_from_quaternion(self.quaternion)
@@ -31,7 +32,7 @@ class Mount:
         """What ``load_mount`` takes."""
         return {"lever": self.lever, "quaternion": self.quaternion}
 
-    @property
+    @cached_property
     def turned(self) -> bool:
         """Whether the sensor's axes differ from the body's."""
         return bool(np.any(self.quaternion[:3] != 0))

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from fuselog.service.console import stderr
-from fuselog.service.signals import stop_and_snapshot
+from fuselog.service.signals import reload_asked, stop_and_snapshot
 
 
 def serve(
@@ -20,7 +20,8 @@ def serve(
     """Fuse what comes on Zenoh, publish the estimates, and answer for health over HTTP.
 
     SIGTERM or Ctrl-C ends it after what has come is fused and published; Ctrl-C again ends it at once.
-    SIGUSR1 writes a snapshot, where the configuration keeps one (record: snapshot).
+    SIGUSR1 writes a snapshot, where the configuration keeps one (record: snapshot). SIGHUP reads the configurations
+    again, and filters go on with what they say now.
     """
     if expose_http:
         raise typer.BadParameter(
@@ -42,4 +43,6 @@ def serve(
         started=lambda address: stderr.print(f"ready: filter {names} on {where}, health at {address}"),
         behind_proxy=behind_proxy,
         snapshot=snapshot,
+        reload=reload_asked(),
+        say=stderr.print,
     )

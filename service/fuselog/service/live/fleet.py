@@ -19,7 +19,7 @@ from fuselog.replay.recording import RecordingStatus
 from fuselog.service.live.checkpoints import read_checkpoint, remove_checkpoint, write_checkpoint
 from fuselog.service.live.group import Group, make_group
 from fuselog.service.live.inbox import Inbox
-from fuselog.service.live.keys import ByPattern, Captures
+from fuselog.service.live.keys import ByPattern, Captures, KeyPattern
 from fuselog.service.live.member import Member, Snapshot
 from fuselog.service.live.outbox import Outbox, Post
 from fuselog.service.live.ownership import own
@@ -30,7 +30,7 @@ from fuselog.service.progress import tell_progress
 from fuselog.service.recording.filter_recorder import FilterRecorder
 from fuselog.service.streams import Announcements, learn, stream_types
 from fuselog.service.threads import Worker, WorkerError
-from fuselog.service.zenoh_door import subscribe
+from fuselog.service.zenoh_door import subscribe, subscribe_reliably
 
 _PUBLISH_S = 10.0  # for what is left at the end
 _STUCK_S = 10.0  # a turn of the filters that takes longer is a failure of liveness
@@ -70,10 +70,7 @@ class Fleet:
         self._runner = Runner(groups, Inbox(), self._make)
         self._publishing = Worker("publisher", self._post.run, ended)
         self._fusing = Worker("filter", self._runner.run, ended)
-        self._unsubscribe = [
-            subscribe(session, expression, partial(self._take, number, self._recorders.get(group)))
-            for number, (group, expression) in enumerate(self._runner.expressions)
-        ]
+        self._unsubscribe = [self._subscribe(number, *each) for number, each in enumerate(self._runner.subscriptions)]
         # Last, for a player takes the answer as a sign that all subscriptions have been announced before.
         self._fall_silent = [
             tell_progress(session, _plain(group.plan.config.id), partial(self._progress, group)) for group in groups
@@ -202,6 +199,18 @@ class Fleet:
             self._unsaved.pop(id, None)
         except OSError as error:  # the filters go on
             self._unsaved[id] = error.strerror or str(error)
+
+    def _subscribe(self, number: int, group: Group, pattern: KeyPattern) -> Callable[[], None]:
+        take = partial(self._take, number, self._recorders.get(group))
+        topics = {sensor.settings.topic: sensor.settings for sensor in group.plan.sensors}
+        if pattern.topic in topics and topics[pattern.topic].reliable:
+            missed = partial(self._miss, number)
+            return subscribe_reliably(self._session, pattern.expression, take, missed=missed)
+        return subscribe(self._session, pattern.expression, take)
+
+    def _miss(self, number: int, _publisher: str, count: int) -> None:
+        """Samples that nobody has any more, on the network thread."""
+        self._runner.missed[number] += count
 
     def _take(self, number: int, recorder: FilterRecorder | None, sample: zenoh.Sample) -> None:
         """A sample on the network thread; recorded first, for the filter may hold it up."""

@@ -36,6 +36,15 @@ _ABOUT = {"kind": "member of a service"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Delay:
+    """From the arrival of a sample to the publication of its results, s: of the last thousand batches."""
+
+    median_s: float
+    p99_s: float
+    most_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
     """A filter at one moment. Never changed, only replaced: who holds one may read it on any thread."""
 
@@ -48,6 +57,7 @@ class Snapshot:
     losses: dict[str, Losses]  # by key
     progress: dict[str, dict[str, Progress]]  # by publisher and key
     unpublished: int
+    delay: Delay | None = None  # None while nothing was published
     last_arrival: float | None  # monotonic s
     origin: str  # how it began: anew, or from a checkpoint, or why not from that
     unsaved: str = ""  # why the last checkpoint could not be written
@@ -67,8 +77,7 @@ class Member:
         self._outputs = Outputs(plan)
         self._recent = no_samples(plan)
         self._tracks: list[Track] = []  # since the last look
-        self._shed = [0] * len(self.keys)
-        self._oversized = [0] * len(self.keys)
+        self._shed, self._oversized, self._missed = ([0] * len(self.keys) for _ in range(3))
         self._origin = "it began anew"
         self._memory: HealthMemory = no_judgement()
         self._changes: deque[HealthChange] = deque(maxlen=_MOST_CHANGES)
@@ -84,7 +93,7 @@ class Member:
     def feed(self, arrivals: Sequence[Numbered]) -> None:
         """Fuse samples of ``keys``, by their numbers, and give the results away."""
         self.last_arrival = time.monotonic()
-        self._give(self.filter.feed(self._sources.batch(arrivals)))
+        self._give(self.filter.feed(self._sources.batch(arrivals)), since_ns=arrivals[0].arrival_ns)
 
     def command(self, command: Command, asked_ns: int) -> None:
         """Follow a command asked for at ``asked_ns``; raises ``CommandError`` or ``ConfigError`` where it cannot.
@@ -99,9 +108,9 @@ class Member:
             self._give(self.filter.feed(self._sources.batch([])))
             raise
 
-    def turn_away(self, *, shed: Sequence[int], oversized: Sequence[int]) -> None:
-        """So many samples of each key have not been let in so far: for want of room, and as too large."""
-        self._shed, self._oversized = list(shed), list(oversized)
+    def turn_away(self, *, shed: Sequence[int], oversized: Sequence[int], missed: Sequence[int]) -> None:
+        """So many samples of each key are lost so far: for want of room, as too large, and as the network knows."""
+        self._shed, self._oversized, self._missed = list(shed), list(oversized), list(missed)
 
     def look(self) -> None:
         """Renew the snapshot."""
@@ -110,8 +119,9 @@ class Member:
     def watch(self) -> None:
         """Judge the health anew and publish it; to be called at least twice a second."""
         self._judge()
-        payload = health_message(self._health, filter_id=self.id, frame=self.filter.plan.config.output.frame)
-        self.outbox.tell_health(payload, self._health.t_ns or 0)
+        if self.outbox.health_wanted:
+            payload = health_message(self._health, filter_id=self.id, frame=self.filter.plan.config.output.frame)
+            self.outbox.tell_health(payload, self._health.t_ns or 0)
         self.snapshot = self._look()
 
     def finish(self) -> None:
@@ -158,9 +168,10 @@ class Member:
         self._streams = Streams(self.filter.intake, stream_types(types), self._learn)
         self._sources = Sources(self.keys, self._streams.identify)
 
-    def _give(self, track: Track) -> None:
+    def _give(self, track: Track, *, since_ns: int | None = None) -> None:
         self._tracks.append(track)
-        self.outbox.offer(self._outputs.encode(track, self.filter.beside()))
+        encoded = self._outputs.encode(track, self.filter.beside(), wanted=self.outbox.wanted)
+        self.outbox.offer(encoded, since_ns=since_ns)
 
     def _remember(self) -> None:
         if self._tracks:
@@ -186,7 +197,7 @@ class Member:
             wall_ns = time.time_ns() - time.monotonic_ns()
             self._changes.extend(change._replace(t_ns=change.t_ns + wall_ns) for change in self._memory.changes)
             self._shown = tuple(self._changes)
-        self._health = self._memory.health
+        self._health, self._delay = self._memory.health, _delay(self.outbox.latencies_ns.copy())
         return self._health
 
     def _look(self) -> Snapshot:
@@ -201,14 +212,19 @@ class Member:
             losses=self._losses(),
             progress=self._sources.progress(),
             unpublished=self.outbox.dropped,
+            delay=self._delay,
             last_arrival=self.last_arrival,
             origin=self._origin,
         )
 
     def _losses(self) -> dict[str, Losses]:
-        """Samples that were not let in show as gaps in the numbering too; they are counted once."""
+        """Samples that were not let in show as gaps in the numbering too; they are counted once.
+
+        So are those that a publisher's numbers and the network both know to be lost.
+        """
         sources = self._sources
-        columns = zip(self.keys, self._shed, self._oversized, sources.missed, strict=True)
+        gaps = [max(ours, theirs) for ours, theirs in zip(sources.missed, self._missed, strict=True)]
+        columns = zip(self.keys, self._shed, self._oversized, gaps, strict=True)
         return {
             key: Losses(
                 shed=shed,
@@ -218,3 +234,10 @@ class Member:
             )
             for number, (key, shed, oversized, missed) in enumerate(columns)
         }
+
+
+def _delay(latencies_ns: deque[int]) -> Delay | None:
+    if not latencies_ns:
+        return None
+    median, p99, most = np.percentile(np.array(latencies_ns) / 1e9, (50, 99, 100)).tolist()
+    return Delay(median_s=median, p99_s=p99, most_s=most)

@@ -1,7 +1,9 @@
 """Results on their way out: published by a thread of their own, so that no slow subscriber holds up a filter."""
 
 import queue
-from collections.abc import Callable
+import time
+from collections import deque
+from collections.abc import Callable, Container
 from functools import partial
 
 import numpy as np
@@ -14,6 +16,8 @@ from fuselog.service.streams import Announcements
 from fuselog.service.transport import key_of
 from fuselog.service.wire import Tag, media_type, write_tag
 from fuselog.service.zenoh_door import Publisher
+
+_LATENCIES = 1000
 
 
 class Post:
@@ -51,20 +55,36 @@ class Outbox:
 
     def __init__(self, session: zenoh.Session, post: Post, told: Announcements, plan: Plan, *, source: bytes) -> None:
         self.dropped = 0
+        self.latencies_ns: deque[int] = deque(maxlen=_LATENCIES)  # from a sample's arrival to its published results
         self.record: Callable[[Messages], None] | None = None  # is given all that is offered, and never waits either
         self.topics = (*Outputs(plan).topics, Output(f"{plan.config.output.estimate.rstrip('/')}/health", HEALTH))
         self._post, self._told, self._source = post, told, source
         self._sequence = [0] * len(self.topics)
         media = [media_type("cdr", output.schema_name) for output in self.topics]
         self._keys = [key_of(output.topic) for output in self.topics]
-        self._publishers = [Publisher(session, key, kind) for key, kind in zip(self._keys, media, strict=True)]
+        self._publishers = [
+            Publisher(session, key, kind, cache=plan.config.zenoh.cache)
+            for key, kind in zip(self._keys, media, strict=True)
+        ]
         told.add({key: [_stream(output)] for key, output in zip(self._keys, self.topics, strict=True)})
 
-    def offer(self, messages: Messages) -> None:
-        """Give what ``Outputs.encode`` made to the publishing thread."""
+    @property
+    def wanted(self) -> Container[int]:
+        """The streams that somebody subscribes to or records, by number."""
+        if self.record is not None:
+            return range(len(self.topics))
+        return {number for number, publisher in enumerate(self._publishers) if publisher.wanted}
+
+    @property
+    def health_wanted(self) -> bool:
+        """Whether anybody wants messages of health."""
+        return self.record is not None or self._publishers[-1].wanted
+
+    def offer(self, messages: Messages, *, since_ns: int | None = None) -> None:
+        """Give what ``Outputs.encode`` made to the publishing thread; ``since_ns``: when the oldest sample came."""
         if self.record is not None:
             self.record(messages)
-        if len(messages) and not self._post.put(len(messages), partial(self._publish, messages)):
+        if len(messages) and not self._post.put(len(messages), partial(self._publish, messages, since_ns)):
             self.dropped += len(messages)
 
     def tell_health(self, payload: bytes, t_ns: int) -> None:
@@ -88,16 +108,18 @@ class Outbox:
         self._told.forget(self._keys)
         self._post.put(0, self._undeclare)
 
-    def _publish(self, messages: Messages) -> int:
+    def _publish(self, messages: Messages, since_ns: int | None) -> int:
         data = messages.data.data
         wanted = [publisher.wanted for publisher in self._publishers]
         streams, times = messages.stream.tolist(), messages.log_time.tolist()
         starts, lengths = messages.start.tolist(), messages.length.tolist()
         for stream, t_ns, start, length in zip(streams, times, starts, lengths, strict=True):
-            self._sequence[stream] += 1
             if wanted[stream]:
+                self._sequence[stream] += 1
                 tag = Tag(self._sequence[stream], t_ns, self._source)
                 self._publishers[int(stream)].put(bytes(data[start : start + length]), write_tag(tag))
+        if since_ns is not None:
+            self.latencies_ns.append(time.time_ns() - since_ns)
         return len(messages)
 
     def _undeclare(self) -> int:

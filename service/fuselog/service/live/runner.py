@@ -10,7 +10,7 @@ from typing import TypeVar
 from fuselog.schemas import FuselogError
 from fuselog.service.live.group import Group
 from fuselog.service.live.inbox import Arrival, Inbox, Request
-from fuselog.service.live.keys import Captures
+from fuselog.service.live.keys import Captures, KeyPattern
 from fuselog.service.live.member import Member, Snapshot
 from fuselog.service.live.sources import Numbered
 
@@ -44,10 +44,13 @@ class Runner:
     def __init__(self, groups: Sequence[Group], inbox: Inbox, make: Make) -> None:
         self.inbox = inbox
         self._make = make
-        self._subscriptions = [(group, pattern) for group in groups for pattern in group.patterns]
+        self._subscriptions: list[tuple[Group, KeyPattern]] = [
+            (group, pattern) for group in groups for pattern in group.patterns
+        ]
         self._members: dict[str, Member] = {}
         self._ids: dict[tuple[Group, Captures], str] = {}
         self._routes: dict[tuple[int, str], list[Target]] = {}
+        self.missed: Counter[int] = Counter()  # by subscription: what the network could not bring any more
         self._unknown: OrderedDict[str, str] = OrderedDict()
         self._unknown_samples = 0
         self._impossible: OrderedDict[tuple[Group, Captures], str] = OrderedDict()
@@ -65,9 +68,9 @@ class Runner:
         self._show()
 
     @property
-    def expressions(self) -> list[tuple[Group, str]]:
-        """What to subscribe to, and for whom, by number of the subscription."""
-        return [(group, pattern.expression) for group, pattern in self._subscriptions]
+    def subscriptions(self) -> list[tuple[Group, KeyPattern]]:
+        """What to subscribe to, and for whom, by number."""
+        return self._subscriptions
 
     def ask(self, id: str, question: Callable[[Member], T]) -> "Future[T]":
         """Have a question answered by the thread that owns the filter, after all that has come."""
@@ -247,8 +250,14 @@ class Runner:
         self._show()
 
     def _turn_away(self, member: Member) -> None:
+        """Tell a filter of the samples of its keys that were not let in, and that the network says are lost."""
+        missed = Counter[str]()
+        for subscription, count in [*self.missed.items()]:
+            group, pattern = self._subscriptions[subscription]
+            if group is member.group and not pattern.names:
+                missed[pattern.expression] += count
         shed, oversized = self._of(self.inbox.shed, member), self._of(self.inbox.oversized, member)
-        member.turn_away(shed=shed, oversized=oversized)
+        member.turn_away(shed=shed, oversized=oversized, missed=[missed[key] for key in member.keys])
 
     def _of(self, counted: Counter[tuple[int, str]], member: Member) -> list[int]:
         """How many of each key of a filter."""

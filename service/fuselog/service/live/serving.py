@@ -1,11 +1,13 @@
 """The live service: filters on Zenoh and their health over HTTP, from start to an orderly end."""
 
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from socket import socket
 
 from fuselog.fusion import Plan
 from fuselog.fusion.config import Problem
+from fuselog.schemas import FuselogError
 from fuselog.service.live.fleet import Fleet
 from fuselog.service.live.group import make_group
 from fuselog.service.live.standby import Standby
@@ -18,6 +20,7 @@ from fuselog.service.transport import open_session, service_endpoints
 _CONNECT_S = 10.0
 _HTTP_S = 5.0  # for answers under way at the end
 _TEND_S = 1.0  # at most between two looks at what may wait for a disk
+_SWITCH_S = 0.0005  # a thread of the network waits for the interpreter as long as this where another computes
 _SHARED = ("zenoh", "http")  # what a service has once: said in the first configuration
 
 
@@ -28,13 +31,17 @@ def serve(
     started: Callable[[str], None],
     behind_proxy: bool = False,
     snapshot: threading.Event | None = None,
+    reload: threading.Event | None = None,
+    say: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Run the filters of ``plans`` until ``stop`` is set, then fuse and publish what has come so far.
 
     ``started`` is called with the address for HTTP when all is compiled and connected. ``snapshot``, when set, asks
-    for one of the recordings. ``behind_proxy``: HTTP comes from a proxy that has TLS. Raises ``ConfigError``,
+    for one of the recordings, ``reload`` to read the configurations again; ``say`` tells what came of it.
+    ``behind_proxy``: HTTP comes from a proxy that has TLS. Raises ``ConfigError``,
     ``TransportError`` or ``HttpError`` when it cannot start, ``WorkerError`` when a part of it fails.
     """
+    sys.setswitchinterval(_SWITCH_S)
     first = plans[0]
     http = first.config.http
     _check_shared(plans)
@@ -62,6 +69,9 @@ def serve(
                 every_s = _tend_every_s(plans)
                 while not stop.wait(every_s):
                     fleet.tend()
+                    if reload is not None and reload.is_set():
+                        reload.clear()
+                        say("; ".join(_reloaded(fleet)))
                 fleet.finish()
         finally:
             server.stop()
@@ -74,6 +84,14 @@ def _tend_every_s(plans: Sequence[Plan]) -> float:
     """A checkpoint is to be made as often as its filter wants it."""
     wanted = [plan.config.checkpoint.every for plan in plans if plan.config.checkpoint is not None]
     return min([_TEND_S, *wanted])
+
+
+def _reloaded(fleet: Fleet) -> list[str]:
+    """What reading the configurations again did, or why it did nothing."""
+    try:
+        return fleet.reload()
+    except FuselogError as error:
+        return [f"not reloaded: {error}"]
 
 
 def _check_shared(plans: Sequence[Plan]) -> None:

@@ -48,6 +48,14 @@ class StateAnswer(BaseModel):
     not_measured_yet: list[str]
 
 
+class DelayAnswer(BaseModel):
+    """From the arrival of a sample to the publication of its results, s: of the last thousand batches."""
+
+    median_s: float
+    p99_s: float
+    most_s: float
+
+
 class RecordingAnswer(BaseModel):
     """The recording of a filter: received = written + waiting + expired + the sum of dropped."""
 
@@ -72,6 +80,7 @@ HealthAnswer = create_model(
     __base__=model_of(Health),
     __doc__="One filter: what is wrong, and why.",
     unpublished=(int, Field(description="results dropped because subscribers were too slow")),
+    delay=(DelayAnswer | None, Field(description="from arrival to publication; null while nothing was published")),
     idle_s=(Number, Field(description="since any sample came, by the clock of the service")),
     recording=(RecordingAnswer | None, Field(description="null when nothing is to be recorded")),
 )
@@ -120,6 +129,7 @@ def health_plain(snapshot: Snapshot) -> dict[str, Any]:
     return {
         **health,
         "unpublished": dropped,
+        "delay": plain(snapshot.delay),
         "recording": None if recording is None else recording_plain(recording),
     }
 
