@@ -49,6 +49,8 @@ _SECTIONS = {  # first cell of a table's head, or the heading above it: whose ke
     "http": settings.HttpSettings,
     "tls of http": settings.HttpTlsSettings,
     "record": settings.RecordSettings,
+    "fleet": settings.FleetSettings,
+    "checkpoint": settings.CheckpointSettings,
 }
 
 
