@@ -1,135 +1,130 @@
-"""A service whose filters are real ones, run over a log: what they showed is streamed, step by step."""
+"""A ``fuselog serve`` of several configurations, and a robot that drives on a circle before it, in real time."""
 
-import asyncio
 import json
+import signal
+import subprocess
 import threading
 import time
-from collections.abc import AsyncIterator, Mapping
-from dataclasses import dataclass, field, replace
+import urllib.error
+import urllib.request
 from pathlib import Path
 from typing import Any
 
-from fastapi import Request, Response
-from fastapi.responses import JSONResponse, StreamingResponse
-from fuselog.service.rest.api import create_app
+import numpy as np
+import zenoh
 
-from fuselog.fusion import Filter, Plan, compile_plan, parse_config
-from fuselog.fusion.health import Losses, Recent, no_samples, remember
-from fuselog.replay import open_log
-from fuselog.replay.reprocess import open_inputs
-from fuselog.service.live.runner import Snapshot
-from fuselog.service.page.page import add_page
-from fuselog.service.rest.answers import health_answer, state_answer
-from fuselog.service.rest.http import HttpServer, bind
+from fuselog.schemas import CdrEncoder, definition
+from fuselog.service.transport import Endpoints, open_session
 
-Frames = list[Snapshot]
+from .conftest import FUSELOG, UNICYCLE, free_port
 
+ROBOTS = 20
+EVIL = "<img src=x onerror=alert(1)><script>alert(1)</script>"
+_POSE = "geometry_msgs/msg/PoseStamped"
 
-def frames_of(config: str, log: Path, *, blind: tuple[str, float] | None = None, step_s: float = 0.5) -> Frames:
-    """What a filter shows before a log and after each step; ``blind``: a topic, and when it falls silent (s)."""
-    plan = compile_plan(*parse_config(config))
-    filter, recent = Filter(plan, order="as_received"), no_samples(plan)
-    frames = [_snapshot(plan, filter, recent)]
-    with open_log(log) as opened:
-        topics = open_inputs(opened, filter)
-        first = opened.time_range[0]
-        silent = {c.id for c in opened.channels.values() if blind is not None and c.topic == blind[0]}
-        for messages in opened.batches(topics):
-            elapsed = (messages.log_time - first) / 1e9
-            for n in range(int(elapsed[0] / step_s), int(elapsed[-1] / step_s) + 1):
-                now = (elapsed >= n * step_s) & (elapsed < (n + 1) * step_s)
-                if blind is not None and n * step_s >= blind[1]:
-                    now &= [stream not in silent for stream in messages.stream]
-                recent = remember(recent, filter.feed(messages.take(now.nonzero()[0])))
-                frames.append(_snapshot(plan, filter, recent))
-    return frames
+_LINE = """\
+fuselog: 1
+id: line
+model: {name: constant_velocity_1d}
+sensors:
+  camera: {topic: /camera/pose, fuse: [x], noise: {x: 0.1}}
+"""
+CONFIGS = {
+    "well": UNICYCLE.replace("id: small", "id: well"),
+    "sure": UNICYCLE.replace("id: small", "id: sure").replace("{x: 0.1, y: 0.1}}\n", "{x: 0.02, y: 0.02}}\n"),
+    "blind": UNICYCLE.replace("id: small", "id: blind").replace("/camera/pose", "/camera/blind"),
+    "line": _LINE,
+    "rest": _LINE.replace("id: line", "id: rest").replace("/camera/pose", "/camera/rest"),
+    "odd": _LINE.replace("id: line", "id: odd").replace("/camera/pose", "/camera/odd"),
+    "fleet": _LINE.replace("id: line", 'id: "robot-{n}"').replace("/camera/pose", '"robots/{n}/camera"')
+    + 'output: {estimate: "robots/{n}/fused"}\n',
+}
+for _id in ("well", "sure", "blind", "line", "rest", "odd"):
+    CONFIGS[_id] += f"output: {{estimate: {_id}}}\n"
 
 
-def _snapshot(plan: Plan, filter: Filter, recent: Recent) -> Snapshot:
-    return Snapshot(
-        plan=plan,
-        estimate=filter.estimate,
-        ledger=filter.ledger,
-        recent=recent,
-        optimality_ratio=filter.optimality_ratio,
-        losses={},
-        progress={},
-        unpublished=0,
-        last_arrival=time.monotonic(),
-    )
-
-
-@dataclass
 class StatusService:
-    """Serves the page, the interface and the stream on a port of its own while it is entered.
+    """Starts all of it; ``close`` ends it. The camera of ``blind`` falls silent when ``silence`` is called."""
 
-    ``filters``: frames by id. ``token``: who has none is refused. ``cut`` and ``hold`` are set to end streams, and to
-    let them fall silent.
-    """
+    def __init__(self, folder: Path) -> None:
+        endpoint, port = f"tcp/127.0.0.1:{free_port()}", free_port()
+        self.url = f"http://127.0.0.1:{port}"
+        where = f"zenoh: {{listen: [{endpoint}]}}\nhttp: {{port: {port}}}\n"
+        for number, (name, text) in enumerate(CONFIGS.items()):
+            (folder / f"{name}.yaml").write_text(text + (where if number == 0 else ""))
+        files = [str(folder / f"{name}.yaml") for name in CONFIGS]
+        self._process = subprocess.Popen([*FUSELOG, "serve", *files], stderr=subprocess.DEVNULL)
+        self._wait_until_ready()
+        self._over, self._silent = threading.Event(), threading.Event()
+        self._driving = threading.Thread(target=self._drive, args=(endpoint,))
+        self._driving.start()
 
-    filters: Mapping[str, Frames]
-    token: str | None = None
-    every_s: float = 0.1
-    cut: threading.Event = field(default_factory=threading.Event)
-    hold: threading.Event = field(default_factory=threading.Event)
-    url: str = ""
+    def close(self) -> None:
+        """End the robot, then the service."""
+        self._over.set()
+        self._driving.join(10)
+        self._process.send_signal(signal.SIGTERM)
+        assert self._process.wait(30) == 0
 
-    def __enter__(self) -> "StatusService":
-        looks = {id: (lambda frames=frames: frames[-1]) for id, frames in self.filters.items()}
-        app = create_app(looks, alive=lambda: True, ready=lambda: True)
-        add_page(app)
-        app.router.add_route("/api/v1/stream", self._stream)
-        self._listener = bind("127.0.0.1", 0)
-        self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
-        self._server = HttpServer(app, self._listener)
-        self._thread = threading.Thread(target=self._server.run)
-        self._thread.start()
-        return self
+    def silence(self) -> None:
+        """Cover the camera of ``blind``."""
+        self._silent.set()
 
-    def __exit__(self, *_: object) -> None:
-        self.cut.set()
-        self._server.stop()
-        self._thread.join(20)
-        self._listener.close()
+    def ask(self, path: str = "") -> Any:
+        """What it answers of its filters."""
+        with urllib.request.urlopen(f"{self.url}/api/v1/filters{path}", timeout=10) as answer:
+            return json.load(answer)
 
-    async def _stream(self, request: Request) -> Response:
-        if self.token is not None and request.headers.get("authorization") != f"Bearer {self.token}":
-            problem = {"title": "Unauthorized", "status": 401, "detail": "no such token"}
-            return JSONResponse(problem, 401, media_type="application/problem+json")
-        return StreamingResponse(self._events(), media_type="text/event-stream")
+    def statuses(self) -> dict[str, str]:
+        """What it says of every filter."""
+        return {one["id"]: one["status"] for one in self.ask()["filters"]}
 
-    async def _events(self) -> AsyncIterator[str]:
-        longest = max(map(len, self.filters.values()))
-        changes: dict[str, list[dict[str, Any]]] = {name: [] for name in self.filters}
-        before: dict[str, str] = {}
-        n = 0
-        while not self.cut.is_set():
-            if not self.hold.is_set():
-                shown = {name: frames[min(n, len(frames) - 1)] for name, frames in self.filters.items()}
-                answers = {id(snapshot): _told(snapshot) for snapshot in shown.values()}  # many show the same one
-                told = {name: dict(answers[id(snapshot)]) for name, snapshot in shown.items()}
-                for name, one in told.items():
-                    health, was = one["health"], before.get(name)
-                    if was not in (None, health["status"]):
-                        why = health["reasons"][0] if health["reasons"] else ""
-                        change = {"t_ns": health["t_ns"], "from": was, "to": health["status"], "reason": why}
-                        changes[name].append(change)
-                    before[name] = health["status"]
-                    one["changes"] = changes[name]
-                yield f"event: health\r\ndata: {json.dumps({'t': time.time(), 'filters': told})}\r\n\r\n"
+    def _wait_until_ready(self) -> None:
+        end = time.monotonic() + 120  # a cold cache compiles
+        while time.monotonic() < end:
+            try:
+                urllib.request.urlopen(f"{self.url}/health/ready", timeout=10).close()
+                return
+            except (urllib.error.URLError, ConnectionError):
+                assert self._process.poll() is None
+                time.sleep(0.05)
+        raise TimeoutError("the service does not get ready")
+
+    def _drive(self, endpoint: str) -> None:
+        random = np.random.default_rng(7)
+        encoders = {
+            kind: CdrEncoder(kind, definition(kind), columns=fields)
+            for kind, fields in (
+                ("sensor_msgs/msg/Imu", ["angular_velocity.z"]),
+                ("nav_msgs/msg/Odometry", ["twist.twist.linear.x"]),
+                (_POSE, ["pose.position.x", "pose.position.y"]),
+            )
+        }
+        begun = time.time_ns()
+        with open_session(Endpoints(connect=[endpoint]), timeout_s=10) as session:
+
+            def put(key: str, kind: str, t_ns: int, *values: float, media: str = "") -> None:
+                payload = encoders[kind].encode(np.array([t_ns]), np.array([values]))[0].tobytes()
+                session.put(
+                    key,
+                    payload,
+                    encoding=media or f"application/cdr;{kind}",
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                )
+
+            n = 0
+            while not self._over.wait(max(0.0, (begun - time.time_ns()) / 1e9 + n * 0.02)):
+                t_ns, angle = begun + n * 20_000_000, 0.3 * n * 0.02
+                put("imu/data", "sensor_msgs/msg/Imu", t_ns, 0.3 + 0.02 * random.normal())
+                if n % 2 == 0:
+                    put("odom", "nav_msgs/msg/Odometry", t_ns, 1 + 0.05 * random.normal())
+                if n % 5 == 0:
+                    x, y = np.array([np.sin(angle), 1 - np.cos(angle)]) / 0.3 + 0.1 * random.normal(size=2)
+                    put("camera/pose", _POSE, t_ns, x, y)
+                    if not self._silent.is_set():
+                        put("camera/blind", _POSE, t_ns, x, y)
+                    put("camera/odd", _POSE, t_ns, x, y, media=f"application/cdr;{EVIL}")
+                if n % 20 == 0:
+                    for robot in range(ROBOTS):
+                        put(f"robots/{robot}/camera", _POSE, t_ns, 0.1 * random.normal(), 0.0)
                 n += 1
-            await asyncio.sleep(self.every_s if n < longest else 0.5)
-
-
-def _told(snapshot: Snapshot) -> dict[str, Any]:
-    return {
-        "model": snapshot.plan.card.name,
-        "states": list(snapshot.plan.states),
-        "health": health_answer(snapshot, now=time.monotonic()).model_dump(mode="json"),
-        "state": state_answer(snapshot).model_dump(mode="json"),
-    }
-
-
-def with_losses(frames: Frames, losses: dict[str, Losses]) -> Frames:
-    """The same with samples lost before the filter."""
-    return [replace(frame, losses=losses) for frame in frames]

@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from fuselog.fusion import Beside, Filter, Order, Outputs, Plan, Stream, Track, join_tracks, load_plan
+from fuselog.fusion.captures import require_none
 from fuselog.fusion.preparation import Prepared
 from fuselog.fusion.report import estimate_json, ledger_json
 from fuselog.replay.ahead import ahead
@@ -244,8 +245,10 @@ def stream_of(channel: Channel) -> Stream:
 def open_inputs(log: Log, filter: Filter) -> set[str]:
     """Connect the log's channels, but for outputs of an earlier run, to the filter; returns the topics that it uses.
 
-    Raises ``ConfigError`` for a topic that is not there, or whose messages cannot feed the sensor.
+    Raises ``ConfigError`` for a topic that is not there, or whose messages cannot feed the sensor, and for topics that
+    capture names.
     """
+    require_none(filter.plan)
     inputs = [channel for channel in log.channels.values() if not is_output(channel)]
     filter.intake.require({channel.topic: None for channel in inputs})
     return {channel.topic for channel in inputs if filter.intake.open(channel.id, stream_of(channel))}

@@ -325,7 +325,6 @@ class SensorSettings(Settings):
         None, description="constant, zero_velocity: path of a number; messages where it is 0 are no samples"
     )
     states: StatesSettings = Field(StatesSettings.model_validate({}), description="what of the sensor is estimated")
-    enabled: bool = Field(True, description="false: its samples are counted, not fused")
 
 
 class OutputSettings(Settings):

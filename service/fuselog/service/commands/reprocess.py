@@ -10,7 +10,9 @@ from fuselog.service.limits import with_limits
 from fuselog.service.memory import keep_freed_memory
 
 if TYPE_CHECKING:
+    from fuselog.fusion.captures import Captures
     from fuselog.replay.mcap_file.decompress import Limits
+    from fuselog.replay.reprocess import Summary
 
 
 @with_limits
@@ -30,6 +32,10 @@ def reprocess(
     spill: Annotated[
         Path | None, typer.Option(help="Folder for what smoothing puts aside; by default that for temporary files.")
     ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Where topics capture names: this filter; else all that the log has."),
+    ] = None,
     rrd: Annotated[Path | None, typer.Option(help="Also write a Rerun recording of the output.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     *,
@@ -37,6 +43,7 @@ def reprocess(
 ) -> None:
     """Fuse a log as fast as the machine allows; write estimates, odometry and a decision for every sample."""
     from fuselog.fusion import load_plan  # noqa: PLC0415  slow to import
+    from fuselog.fusion.captures import captures_of, chosen, plan_of  # noqa: PLC0415  slow to import
     from fuselog.replay import open_log, reprocess_to, smooth_to  # noqa: PLC0415  slow to import
 
     if rrd is not None and output is None:
@@ -49,26 +56,54 @@ def reprocess(
     if smooth and plan.config.gain.mode != "optimal":
         stderr.print(f"smoothing with the optimal gain; gain.mode {plan.config.gain.mode} is not used")
     keep_freed_memory()
-    with open_log(*logs, limits=limits) as opened, progress("smoothing" if smooth else "fusing") as advance:
-        if smooth:
-            summary = smooth_to(opened, plan, output, spill=spill, advance=advance)
-        else:
-            summary = reprocess_to(opened, plan, output, order=order, advance=advance)
+    summaries: dict[str, Summary] = {}
+    with open_log(*logs, limits=limits) as opened:
+        for captures in chosen(plan, opened.topics, only or []):
+            one, to = plan_of(plan, captures), _file_of(output, captures)
+            with progress("smoothing" if smooth else "fusing") as advance:
+                if smooth:
+                    summary = smooth_to(opened, one, to, spill=spill, advance=advance)
+                else:
+                    summary = reprocess_to(opened, one, to, order=order, advance=advance)
+            summaries[one.config.id] = summary
     if rrd is not None and output is not None:
         from fuselog.service.views.view import write_recording  # noqa: PLC0415  slow to import
 
         with open_log(*logs) as again:
-            write_recording(rrd, outs=[output], log=again)
-    if as_json:
-        print_json(summary.to_json())
-    else:
-        _print(summary.to_json())
-    for reason in dict.fromkeys(summary.passed_over):
-        stderr.print(f"{summary.passed_over.count(reason)} commands in the log not followed: {reason}")
-    for loss in summary.losses:
-        stderr.print(f"lost: {loss}")
-    if summary.lossy:
+            outs = [summary.output for summary in summaries.values() if summary.output is not None]
+            write_recording(rrd, outs=[Path(out) for out in outs], log=again)
+    _tell(summaries, as_json=as_json, several=bool(captures_of(plan)))
+    if any(summary.lossy for summary in summaries.values()):
         raise typer.Exit(3)
+
+
+def _file_of(output: Path | None, captures: "Captures") -> Path | None:
+    """Where the track of one filter goes."""
+    from fuselog.fusion.captures import captured, fill  # noqa: PLC0415  slow to import
+
+    if output is None:
+        return None
+    missing = [name for name, _ in captures if name not in captured([str(output)])]
+    if missing:
+        raise typer.BadParameter(f"each filter needs a file: put {{{missing[0]}}} into it", param_hint="--output")
+    return Path(fill(str(output), captures))
+
+
+def _tell(summaries: "dict[str, Summary]", *, as_json: bool, several: bool) -> None:
+    """Results to stdout; commands that were not followed, and losses, to stderr."""
+    told = {id: summary.to_json() for id, summary in summaries.items()}
+    if as_json:
+        print_json({"schema": 1, "filters": told} if several else next(iter(told.values())))
+    for id, summary in told.items():
+        if several and not as_json:
+            typer.echo(f"filter {id}")
+        if not as_json:
+            _print(summary)
+    for summary in summaries.values():
+        for reason in dict.fromkeys(summary.passed_over):
+            stderr.print(f"{summary.passed_over.count(reason)} commands in the log not followed: {reason}")
+    for loss in next(iter(summaries.values())).losses:
+        stderr.print(f"lost: {loss}")
 
 
 def _print(summary: dict[str, Any]) -> None:

@@ -14,12 +14,12 @@ from typing import Literal, TypeVar
 import zenoh
 
 from fuselog.fusion import Estimate, load_plan
+from fuselog.fusion.captures import ByPattern, Captures, KeyPattern
 from fuselog.fusion.commands import Command, CommandError, Configure
 from fuselog.replay.recording import RecordingStatus
 from fuselog.service.live.checkpoints import read_checkpoint, remove_checkpoint, write_checkpoint
 from fuselog.service.live.group import Group, make_group
 from fuselog.service.live.inbox import Inbox
-from fuselog.service.live.keys import ByPattern, Captures, KeyPattern
 from fuselog.service.live.member import Member, Snapshot
 from fuselog.service.live.outbox import Outbox, Post
 from fuselog.service.live.ownership import own

@@ -1,15 +1,12 @@
 """The filters that one configuration makes: one, or one for each name that its topics capture."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from fuselog.fusion import Plan, compile_plan, parse_config
+from fuselog.fusion import Plan
+from fuselog.fusion.captures import DEFAULT_ID, Captures, KeyPattern, captured, fill, id_of, patterns_of, plan_of
 from fuselog.fusion.config import Problem
-from fuselog.fusion.intake import Intake
-from fuselog.service.live.keys import Captures, KeyPattern, captured, fill
 from fuselog.service.transport import TransportError, key_of
-
-_DEFAULT_ID = "filter"
 
 
 @dataclass(eq=False)
@@ -25,17 +22,11 @@ class Group:
 
     def plan_of(self, captures: Captures) -> Plan:
         """The plan of one of its filters."""
-        if not self.names:
-            return self.plan
-        plan = compile_plan(*parse_config(fill(self.plan.source.text, captures), name=self.plan.source.name))
-        return replace(plan, config=plan.config.model_copy(update={"id": self.id_of(captures)}))
+        return plan_of(self.plan, captures)
 
     def id_of(self, captures: Captures) -> str:
         """What the filter is called."""
-        given = self.plan.config.id
-        if self.names and given == _DEFAULT_ID:
-            return "-".join(name for _, name in captures)
-        return fill(given, captures)
+        return id_of(self.plan, captures)
 
 
 def make_group(plan: Plan) -> Group:
@@ -44,12 +35,12 @@ def make_group(plan: Plan) -> Group:
     Raises ``ConfigError`` for topics that cannot be keys of Zenoh, and for what several filters would share.
     """
     places = {("sensors", sensor.name, "topic"): sensor.settings.topic for sensor in plan.sensors}
-    patterns = tuple(KeyPattern(topic) for topic in Intake(plan).topics)
+    patterns = patterns_of(plan)
     names = captured(pattern.topic for pattern in patterns)
     problems = list(_unusable(places | {("output", "estimate"): plan.config.output.estimate}))
     for place, text in ((("output", "estimate"), plan.config.output.estimate), (("id",), plan.config.id)):
         missing = [name for name in names if name not in captured([text])]
-        if missing and text != _DEFAULT_ID:
+        if missing and text != DEFAULT_ID:
             problems.append(Problem(place, f"all filters would have {text!r}: put {{{missing[0]}}} into it"))
         strange = [name for name in captured([text]) if name not in names]
         if strange:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuselog.fusion import Estimate, Filter, Ledger, Outputs, Plan, Track, join_tracks
+from fuselog.fusion.captures import Captures, fill
 from fuselog.fusion.commands import Command, Configure
 from fuselog.fusion.health import (
     Health,
@@ -26,7 +27,6 @@ from fuselog.fusion.sealed import CheckpointError, seal, unseal
 from fuselog.replay.recording import RecordingStatus
 from fuselog.schemas import FuselogError
 from fuselog.service.live.group import Group
-from fuselog.service.live.keys import Captures, fill
 from fuselog.service.live.outbox import Outbox
 from fuselog.service.live.sources import Numbered, Progress, Sources
 from fuselog.service.streams import Learn, Streams, stream_types
@@ -109,7 +109,10 @@ class Member:
             raise
 
     def turn_away(self, *, shed: Sequence[int], oversized: Sequence[int], missed: Sequence[int]) -> None:
-        """So many samples of each key are lost so far: for want of room, as too large, and as the network knows."""
+        """So many samples of each key have not come in so far.
+
+        For want of room, as too large, and by what the network says of those that it could not bring.
+        """
         self._shed, self._oversized, self._missed = list(shed), list(oversized), list(missed)
 
     def look(self) -> None:

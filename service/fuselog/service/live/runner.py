@@ -2,15 +2,15 @@
 
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import TypeVar
 
+from fuselog.fusion.captures import Captures, KeyPattern
 from fuselog.schemas import FuselogError
 from fuselog.service.live.group import Group
 from fuselog.service.live.inbox import Arrival, Inbox, Request
-from fuselog.service.live.keys import Captures, KeyPattern
 from fuselog.service.live.member import Member, Snapshot
 from fuselog.service.live.sources import Numbered
 
@@ -116,12 +116,15 @@ class Runner:
             self.heartbeat = begun = time.monotonic()
             self._turn(arrivals)
             now = time.monotonic()
-            if self._stale and (not arrivals or now - looked > _LOOK_EVERY_S):
+            if now - watched > _WATCH_EVERY_S:
+                self._expire(now)
+                self._watch(set(self._members))
+                watched = now
+            elif self._stale and not arrivals:
+                self._watch(self._stale & self._members.keys())
+            elif self._stale and now - looked > _LOOK_EVERY_S:
                 self._look()
                 looked = now
-            if now - watched > _WATCH_EVERY_S:
-                self._watch(now)
-                watched = now
             if stopping and not arrivals:
                 break
             if arrivals and not stopping and len(arrivals) < self.inbox.capacity // 16:
@@ -234,32 +237,28 @@ class Runner:
             if member.group.names and now - (member.last_arrival or now) > member.group.plan.config.fleet.expire:
                 self._end(name)
 
-    def _watch(self, now: float) -> None:
-        self._expire(now)
-        for member in self._members.values():
-            self._turn_away(member)
-            member.watch()
+    def _watch(self, names: Collection[str]) -> None:
+        """Judge these filters anew, and show all of them as they are."""
+        for name in names:
+            self._turn_away(self._members[name])
+            self._members[name].watch()
+        self._stale -= {*names}
         self._show()
 
     def _look(self) -> None:
+        """Show how filters are, but for their health, which takes longer."""
         for name in self._stale & self._members.keys():
-            member = self._members[name]
-            self._turn_away(member)
-            member.look()
+            self._turn_away(self._members[name])
+            self._members[name].look()
         self._stale.clear()
         self._show()
 
     def _turn_away(self, member: Member) -> None:
-        """Tell a filter of the samples of its keys that were not let in, and that the network says are lost."""
-        missed = Counter[str]()
-        for subscription, count in [*self.missed.items()]:
-            group, pattern = self._subscriptions[subscription]
-            if group is member.group and not pattern.names:
-                missed[pattern.expression] += count
         shed, oversized = self._of(self.inbox.shed, member), self._of(self.inbox.oversized, member)
-        member.turn_away(shed=shed, oversized=oversized, missed=[missed[key] for key in member.keys])
+        lost = {(n, self._subscriptions[n][1].expression): count for n, count in [*self.missed.items()]}
+        member.turn_away(shed=shed, oversized=oversized, missed=self._of(lost, member))
 
-    def _of(self, counted: Counter[tuple[int, str]], member: Member) -> list[int]:
+    def _of(self, counted: Mapping[tuple[int, str], int], member: Member) -> list[int]:
         """How many of each key of a filter."""
         counts = Counter[str]()
         for (subscription, key), count in [*counted.items()]:

@@ -80,18 +80,18 @@ def serve(
             raise WorkerError(answering) from answering.error
 
 
-def _tend_every_s(plans: Sequence[Plan]) -> float:
-    """A checkpoint is to be made as often as its filter wants it."""
-    wanted = [plan.config.checkpoint.every for plan in plans if plan.config.checkpoint is not None]
-    return min([_TEND_S, *wanted])
-
-
 def _reloaded(fleet: Fleet) -> list[str]:
     """What reading the configurations again did, or why it did nothing."""
     try:
         return fleet.reload()
     except FuselogError as error:
         return [f"not reloaded: {error}"]
+
+
+def _tend_every_s(plans: Sequence[Plan]) -> float:
+    """A checkpoint is to be made as often as its filter wants it."""
+    wanted = [plan.config.checkpoint.every for plan in plans if plan.config.checkpoint is not None]
+    return min([_TEND_S, *wanted])
 
 
 def _check_shared(plans: Sequence[Plan]) -> None:

@@ -4,7 +4,7 @@ import { figure, h, keyed, say } from "./dom.js";
 import { sum } from "./sensors.js";
 import { count } from "./words.js";
 
-const ENDS = ["fused", "gated", "late", "duplicate", "skipped", "pending", "invalid"]; // of a received sample
+const ENDS = ["fused", "gated", "late", "duplicate", "skipped", "disabled", "pending", "invalid"]; // of a received sample
 const LOST = ["shed", "missed", "unknown"]; // before the filter
 const COLUMNS = ["received", ...ENDS, ...LOST];
 

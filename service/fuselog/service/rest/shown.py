@@ -84,9 +84,11 @@ class Shown:
     def _event(self, id: str, snapshot: Snapshot) -> dict[str, Any]:
         health = self.health(id)
         return {
+            "model": snapshot.plan.card.name,
+            "states": list(snapshot.plan.states),
             "health": health,
             "state": state_plain(snapshot.plan, snapshot.estimate),
-            "changes": plain(getattr(snapshot, "changes", ())[-_MOST_CHANGES:]),
+            "changes": plain(snapshot.changes[-_MOST_CHANGES:]),
         }
 
     def _health_of(self, id: str, snapshot: Snapshot) -> Health:

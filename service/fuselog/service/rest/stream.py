@@ -16,8 +16,8 @@ _HEARTBEAT_S = 10  # of comments, where events are rarer
 _LOOK_S = 0.25  # how soon a stream notices that the server ends
 _EVENTS: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "Events `health`, for ever. Their data is JSON: `t` (ns), and `filters`, by id: `health` and "
-        "`state` as their resources say, and `changes` of the health.",
+        "description": "Events `health`, for ever. Their data is JSON: `t` (ns), and `filters`, by id: `model`, "
+        "`states`, `health` and `state` as their resources say, and `changes` of the health.",
         "content": {"text/event-stream": {"schema": {"type": "string"}}},
     }
 }
