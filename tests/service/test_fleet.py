@@ -206,26 +206,24 @@ def test_goes_on_where_it_was(robots: Begin, tmp_path: Path) -> None:
     assert before.estimate.t_ns == T0 + 900_000_000
 
 
-@pytest.mark.parametrize(
-    ("damage", "reason"),
-    [
-        (lambda data: data[:0], "is none: it does not begin as one"),
-        (lambda data: b"PK\x03\x04" + data, "is none: it does not begin as one"),
-        (lambda data: data[:12], "is cut short"),
-        (lambda data: data[: len(data) // 2], "is damaged or cut short: its checksum does not hold"),
-        (lambda data: data[:200] + bytes([data[200] ^ 1]) + data[201:], "is damaged or cut short: its checksum"),
-        (lambda data: data[:8] + b"\x09\0\0\0" + data[12:], "is of format 9, and this is 1"),
-        (
-            lambda data: seal({"kind": "filter"}, {"of": len(data)}),
-            "is of another kind: filter, and this is member of a service",
-        ),
-    ],
-    ids=["empty", "foreign", "head", "half", "bit", "format", "kind"],
-)
-def test_a_checkpoint_that_will_not_do(
-    robots: Begin, tmp_path: Path, damage: Callable[[bytes], bytes], reason: str
-) -> None:
+DAMAGE: dict[str, tuple[Callable[[bytes], bytes], str]] = {
+    "empty": (lambda data: data[:0], "is none: it does not begin as one"),
+    "foreign": (lambda data: b"PK\x03\x04" + data, "is none: it does not begin as one"),
+    "head": (lambda data: data[:12], "is cut short"),
+    "half": (lambda data: data[: len(data) // 2], "is damaged or cut short: its checksum does not hold"),
+    "bit": (lambda data: data[:200] + bytes([data[200] ^ 1]) + data[201:], "is damaged or cut short: its checksum"),
+    "format": (lambda data: data[:8] + b"\x09\0\0\0" + data[12:], "is of format 9, and this is 1"),
+    "kind": (
+        lambda data: seal({"kind": "filter"}, {"of": len(data)}),
+        "is of another kind: filter, and this is member of a service",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_a_checkpoint_that_will_not_do(robots: Begin, tmp_path: Path, name: str) -> None:
     """Refused with the reason, and a clean start that takes all that is sent again."""
+    damage, reason = DAMAGE[name]
     text = f"checkpoint: {{folder: {tmp_path}}}\n"
     put_aside(robots, text)
     saved = read_checkpoint(tmp_path, "a-ekf")

@@ -16,7 +16,7 @@ from fuselog.service.rest.answers import state_plain
 from fuselog.service.rest.plain import plain
 from fuselog.service.transport import Endpoints, open_session
 
-from .conftest import UNICYCLE, Service, free_port, kill, live_config, start
+from .conftest import UNICYCLE, Service, free_port, kill, live_config, run, start
 from .publishing import Sender, drive, fused, until
 
 KILLS = 5
@@ -132,3 +132,20 @@ def test_checkpoint_at_the_end(restarted: Restarted, router: tuple[zenoh.Session
     again = restarted.start()
     assert origin(again) == "it began anew: the checkpoint is damaged or cut short: its checksum does not hold"
     assert received(shown(again)[1]) == 0
+
+
+def test_two_services_of_one_estimate(restarted: Restarted, tmp_path: Path, router: tuple[zenoh.Session, str]) -> None:
+    """The second does not start and says why; when the first was killed it does."""
+    first = restarted.start()
+    text = f"{UNICYCLE.replace('id: small', 'id: other')}zenoh: {{mode: client, connect: [{router[1]}]}}\n"
+    where = live_config(tmp_path, text)
+    refused = run("serve", where[0])
+    assert refused.returncode == 1
+    assert refused.stderr.splitlines()[-1] == (
+        "error: another service publishes 'fused/odom' already (output: estimate)"
+    )
+    assert origin(first) == "it began anew"
+    first.process.kill()
+    second = start(*where)
+    restarted.services.append(second)
+    assert second.end()[0] == 0

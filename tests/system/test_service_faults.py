@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 import urllib.error
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from random import Random
@@ -273,7 +273,7 @@ def resident(service: Service) -> int:
 
 
 @contextmanager
-def alone(folder: Path, text: str, *, program: list[str] = FUSELOG) -> Iterator[tuple[Robot, list[Sent]]]:
+def alone(folder: Path, text: str, *, program: list[str] = FUSELOG) -> Generator[tuple[Robot, list[Sent]]]:
     """A service of its own, under load by a publisher that goes on until the end."""
     service = start(*live_config(folder, text), program=program)
     ending = threading.Event()

@@ -22,6 +22,7 @@ from fuselog.service.live.group import Group, make_group
 from fuselog.service.live.inbox import Inbox
 from fuselog.service.live.member import Member, Snapshot
 from fuselog.service.live.outbox import Outbox, Post
+from fuselog.service.live.ownership import own
 from fuselog.service.live.runner import Runner, Unknown
 from fuselog.service.live.sources import Progress
 from fuselog.service.live.warm import warm_up
@@ -42,6 +43,8 @@ T = TypeVar("T")
 class Fleet:
     """Compiles the plans and fuses what comes on their topics, from construction to ``finish``.
 
+    Raises ``TransportError`` where another service publishes the same estimates.
+
     ``ended`` is called when one of its threads is over, whatever the reason, but for those of recordings, which may
     fail without harm; ``snapshot``, when set, asks them for a snapshot.
     """
@@ -57,6 +60,7 @@ class Fleet:
         for group in groups:
             warm_up(group.plan)
         self._session, self._groups = session, groups
+        self._disown = own(session, [group.plan.config.output.estimate for group in groups])
         self._post, self._told = Post(), Announcements(session, outputs=True)
         self._source = secrets.token_bytes(16)
         self._saved_at: dict[Group, float] = {}
@@ -145,6 +149,8 @@ class Fleet:
             self._save(group, id, data)
         self._post.finish()
         self._publishing.join(_PUBLISH_S)
+        for disown in self._disown:
+            disown()
         for recorder in self._recorders.values():
             recorder.finish()
         for worker in (self._fusing, self._publishing):
