@@ -74,6 +74,7 @@ class Member:
         self._plan, self._learn = plan, learn
         self._begin()
         self.last_arrival: float | None = None  # monotonic s
+        self.watched = self.looked = time.monotonic()  # when health was judged, and the snapshot made
         self._outputs = Outputs(plan)
         self._recent = no_samples(plan)
         self._tracks: list[Track] = []  # since the last look
@@ -184,6 +185,7 @@ class Member:
     def _judge(self) -> Health:
         """The health now; what it changed goes to the changes that are shown."""
         self._remember()
+        self.watched = time.monotonic()
         plan = self.filter.plan
         self._memory = watch(
             self._memory,
@@ -205,6 +207,7 @@ class Member:
 
     def _look(self) -> Snapshot:
         self._remember()
+        self.looked = time.monotonic()
         return Snapshot(
             plan=self.filter.plan,
             estimate=self.filter.estimate,

@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import TypeVar
@@ -17,6 +17,7 @@ from fuselog.service.live.sources import Numbered
 _LOOK_EVERY_S = 0.1  # how old a snapshot may be while samples come
 _WATCH_EVERY_S = 0.25  # and the judgement of a filter's health
 _GATHER_S = 0.004  # most that a turn waits for more to come, where turns are what takes the time
+_AT_ONCE = 2  # filters that are shown in one turn while samples come
 _QUIET_S = 0.02  # without samples, then snapshots are renewed at once
 _MOST_UNKNOWN = 1000
 _MOST_ENDED = 100
@@ -109,22 +110,17 @@ class Runner:
 
     def run(self) -> None:
         """Turn after turn until ``stop``."""
-        looked = watched = 0.0
+        tidied = 0.0
         while True:
             stopping = self._stopping
             arrivals = self.inbox.take(_QUIET_S if self._stale or stopping else _WATCH_EVERY_S)
             self.heartbeat = begun = time.monotonic()
             self._turn(arrivals)
             now = time.monotonic()
-            if now - watched > _WATCH_EVERY_S:
+            if now - tidied > 1.0:
                 self._expire(now)
-                self._watch(set(self._members))
-                watched = now
-            elif self._stale and not arrivals:
-                self._watch(self._stale & self._members.keys())
-            elif self._stale and now - looked > _LOOK_EVERY_S:
-                self._look()
-                looked = now
+                tidied = now
+            self._attend(now, quiet=not arrivals)
             if stopping and not arrivals:
                 break
             if arrivals and not stopping and len(arrivals) < self.inbox.capacity // 16:
@@ -237,21 +233,24 @@ class Runner:
             if member.group.names and now - (member.last_arrival or now) > member.group.plan.config.fleet.expire:
                 self._end(name)
 
-    def _watch(self, names: Collection[str]) -> None:
-        """Judge these filters anew, and show all of them as they are."""
-        for name in names:
-            self._turn_away(self._members[name])
-            self._members[name].watch()
-        self._stale -= {*names}
-        self._show()
-
-    def _look(self) -> None:
-        """Show how filters are, but for their health, which takes longer."""
-        for name in self._stale & self._members.keys():
-            self._turn_away(self._members[name])
-            self._members[name].look()
-        self._stale.clear()
-        self._show()
+    def _attend(self, now: float, *, quiet: bool) -> None:
+        """Show filters anew and judge their health when it is time; a few in a turn, for samples wait meanwhile."""
+        due = [
+            (member.looked, id)
+            for id, member in self._members.items()
+            if now - member.watched > _WATCH_EVERY_S
+            or (id in self._stale and (quiet or now - member.looked > _LOOK_EVERY_S))
+        ]
+        for _, id in sorted(due)[: None if quiet else _AT_ONCE]:
+            member = self._members[id]
+            self._turn_away(member)
+            if quiet or now - member.watched > _WATCH_EVERY_S:
+                member.watch()
+            else:
+                member.look()
+            self._stale.discard(id)
+        if due:
+            self._show()
 
     def _turn_away(self, member: Member) -> None:
         shed, oversized = self._of(self.inbox.shed, member), self._of(self.inbox.oversized, member)

@@ -13,6 +13,7 @@ import zenoh
 from numpy.typing import NDArray
 
 from fuselog.fusion import Output
+from fuselog.fusion.outputs import COMMAND
 from fuselog.replay import Schema
 from fuselog.replay.recording import Recording, RecordingStatus
 from fuselog.schemas import Messages
@@ -146,14 +147,18 @@ class Recorder:
             self._recording.write(self._streams.messages(samples))
 
     def _numbered(self, results: Results, arrival_ns: int) -> Messages:
-        """Results as messages of the recording's channels."""
+        """Results as messages of the recording's channels, by the time at which they were made.
+
+        A command lies where it was given among the samples, for there a run of the log follows it.
+        """
         topics, messages = results
         if topics not in self._outputs:
             self._outputs[topics] = np.array([_declare(self._recording, output) for output in topics], np.int32)
+        commands = np.array([output.schema_name == COMMAND for output in topics])
         return replace(
             messages,
             stream=self._outputs[topics][messages.stream],
-            log_time=np.full(len(messages), arrival_ns, np.int64),
+            log_time=np.where(commands[messages.stream], messages.publish_time, arrival_ns),
         )
 
     def _account(self) -> None:
