@@ -46,10 +46,8 @@ def test_recording_with_commands(
     change(service, "POST", "reset", {})
     assert player.wait(60) == 0
     assert service.end()[0] == 0
-    recorded = tmp_path / "live_0.mcap"
-    done = run(
-        "reprocess", recorded, "-c", service.config, "--order", "as_received", "-o", tmp_path / "out.mcap", "--json"
-    )
+    recorded, output = tmp_path / "live_0.mcap", tmp_path / "out.mcap"
+    done = run("reprocess", recorded, "-c", service.config, "--order", "as_received", "-o", output, "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["commands"]["followed"] == 4
     with open_log(recorded) as live, open_log(output) as again:
