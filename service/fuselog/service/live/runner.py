@@ -117,7 +117,7 @@ class Runner:
             self.heartbeat = begun = time.monotonic()
             self._turn(arrivals)
             now = time.monotonic()
-            if now - tidied > 1.0:
+            if now - tidied > _WATCH_EVERY_S:
                 self._expire(now)
                 tidied = now
             self._attend(now, quiet=not arrivals)
@@ -232,6 +232,7 @@ class Runner:
         for name, member in [*self._members.items()]:
             if member.group.names and now - (member.last_arrival or now) > member.group.plan.config.fleet.expire:
                 self._end(name)
+                self._show()
 
     def _attend(self, now: float, *, quiet: bool) -> None:
         """Show filters anew and judge their health when it is time; a few in a turn, for samples wait meanwhile."""
