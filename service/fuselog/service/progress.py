@@ -21,19 +21,14 @@ class Received:
     progress: Mapping[str, Progress]
 
 
-Table = Callable[[], dict[str, dict[str, Progress]]]
-
-
 Tell = Callable[[str], tuple[list[str], Mapping[str, Progress]]]
 
 
-def answer_progress(session: zenoh.Session, filter: str, keys: list[str], table: Table) -> Callable[[], None]:
-    """Answer ``@fuselog/<filter>/received?source=<hex>`` from ``table``; returns what ends it."""
-    return tell_progress(session, filter, lambda source: (keys, table().get(source, {})))
-
-
 def tell_progress(session: zenoh.Session, name: str, tell: Tell) -> Callable[[], None]:
-    """The same with keys that are not known before: ``tell`` gives them, and the counts, for a source (hex)."""
+    """Answer ``@fuselog/<name>/received?source=<hex>``; returns what ends it.
+
+    ``tell`` gives the keys that the source (hex) feeds, and the counts of each.
+    """
     key = f"@fuselog/{name}/received"
 
     def received(query: zenoh.Query) -> dict[str, bytes]:

@@ -70,8 +70,7 @@ class Member:
     def __init__(self, group: Group, captures: Captures, plan: Plan, outbox: Outbox, *, learn: Learn) -> None:
         self.group, self.outbox = group, outbox
         self._captures = captures
-        self._given = plan.source.text  # the configuration at the start; a command may have put another there
-        self._plan, self._learn = plan, learn
+        self._plan, self._learn = plan, learn  # the plan at the start: a command may give the filter another
         self._begin()
         self.last_arrival: float | None = None  # monotonic s
         self.watched = self.looked = time.monotonic()  # when health was judged, and the snapshot made
@@ -139,16 +138,16 @@ class Member:
     def checkpoint(self) -> bytes:
         """All that it remembers, and how far publishers were."""
         filter = np.frombuffer(self.filter.checkpoint(), np.uint8)
-        about = {"at_ns": time.time_ns(), "given": self._given, "text": self.filter.plan.source.text}
+        about = {"at_ns": time.time_ns(), "given": self._plan.source.text, "text": self.filter.plan.source.text}
         return seal(_ABOUT, {**about, "sources": self._sources.save(), "filter": filter})
 
     def resume(self, data: bytes) -> None:
         """Go on where a checkpoint was made; where that is not possible, begin anew and say why in ``origin``."""
         try:
             tree = unseal(data, _ABOUT)
-            if tree["given"] != self._given:
+            if tree["given"] != self._plan.source.text:
                 raise CheckpointError("is of another configuration")
-            if tree["text"] != self._given:
+            if tree["text"] != tree["given"]:
                 self.filter.command(Configure(tree["text"]))
             self.filter.restore(tree["filter"].tobytes())
             self._streams.resume(self.filter.intake.streams)

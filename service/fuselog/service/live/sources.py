@@ -25,10 +25,14 @@ class Numbered(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """How far a publisher's samples of one key have come: taken, and missed by their numbers."""
+    """How far a publisher's samples of one key have come: received, and missed by their numbers.
+
+    Of those received, ``repeated`` were taken before a restart, and sent again: they are not fused twice.
+    """
 
     received: int
     missed: int
+    repeated: int = 0
 
 
 @dataclass(slots=True)
@@ -39,8 +43,9 @@ class _Source:
     asked_ns: int
     received: int = 0
     missed: int = 0
+    repeated: int = 0
     last: int = 0
-    floor: int = 0  # up to this number all was taken before a restart
+    floor: int = 0  # up to this number all was taken before a restart; 0 once the publisher is beyond it
 
 
 class Sources:
@@ -53,7 +58,6 @@ class Sources:
         self.keys = keys
         self.missed = [0] * len(keys)
         self.unknown = [0] * len(keys)
-        self.repeated = [0] * len(keys)  # taken before a restart
         self.reasons = [""] * len(keys)
         self._identify = identify
         self._sources: dict[tuple[int, str, bytes], _Source] = {}
@@ -70,8 +74,9 @@ class Sources:
                 self.unknown[key] += 1
                 continue
             if 0 < tag.sequence <= source.floor:
-                self.repeated[key] += 1
+                source.repeated += 1
                 continue
+            source.floor = 0
             rows.append((source.stream, tag.t_ns if tag.t_ns > 0 else arrival_ns, max(tag.sequence, 0)))
             payloads.append(sample.payload.to_bytes())
         return _messages(rows, payloads)
@@ -96,7 +101,9 @@ class Sources:
         for (key, _, gid), source in self._sources.items():
             mine = table.setdefault(gid.hex(), {})
             before = mine.get(self.keys[key], Progress(0, 0))
-            mine[self.keys[key]] = Progress(before.received + source.received, before.missed + source.missed)
+            mine[self.keys[key]] = Progress(
+                before.received + source.received, before.missed + source.missed, before.repeated + source.repeated
+            )
         return table
 
     def _source(self, key: int, media: str, tag: Tag, now_ns: int) -> _Source:
