@@ -80,6 +80,7 @@ HealthAnswer = create_model(
     __base__=model_of(Health),
     __doc__="One filter: what is wrong, and why.",
     unpublished=(int, Field(description="results dropped because subscribers were too slow")),
+    origin=(str, Field(description="how it began: anew, and why, or from a checkpoint")),
     delay=(DelayAnswer | None, Field(description="from arrival to publication; null while nothing was published")),
     idle_s=(Number, Field(description="since any sample came, by the clock of the service")),
     recording=(RecordingAnswer | None, Field(description="null when nothing is to be recorded")),
@@ -130,6 +131,7 @@ def health_plain(snapshot: Snapshot) -> dict[str, Any]:
         **health,
         "unpublished": dropped,
         "delay": plain(snapshot.delay),
+        "origin": snapshot.origin,
         "recording": None if recording is None else recording_plain(recording),
     }
 
