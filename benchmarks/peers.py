@@ -26,7 +26,7 @@ from tests.fusion.reference import MOTIONS
 from tests.fusion.setups import Sample, events_of, make_plan, truth
 
 from fuselog.fusion import Engine, Events, Plan
-from fuselog.fusion.engine import make_samples
+from fuselog.fusion.flat import make_samples
 from fuselog.fusion.kernel.fields import Block
 from fuselog.fusion.kernel.memory import blank_rows
 
@@ -95,7 +95,7 @@ class Kernel:
 
     def run(self) -> None:
         self._engine.restore(self._start)
-        self._engine.apply(self._samples, self._rows)
+        self._engine.apply(self._samples, self._rows, slice(0, self._samples.record.size))
 
 
 class Calls:
@@ -109,7 +109,7 @@ class Calls:
     def run(self) -> None:
         engine = Engine(self._plan, window_ns=0)
         for sample in self._samples:
-            engine.apply(sample, self._rows)
+            engine.apply(sample, self._rows, slice(0, 1))
 
 
 def timed(function, count: int) -> float:

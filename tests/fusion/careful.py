@@ -11,7 +11,7 @@ from tests.fusion.reference import MOTIONS, Ekf, is_angle, measure, wrap
 from tests.fusion.setups import MEASURED, Sample, events_of, place_of
 
 from fuselog.fusion import Decision, Engine, Plan, Track, join_tracks
-from fuselog.fusion.health import Losses, assess, no_samples, remember
+from fuselog.fusion.health import Losses, assess, no_samples, remember, seen
 from fuselog.fusion.ledger import make_ledger
 
 MS = 1_000_000
@@ -198,7 +198,7 @@ def notes_of(plan: Plan, engine: Engine, track: Track, sensor: str) -> tuple[str
     """What health remarks on a sensor."""
     received = np.bincount(track.sensor, minlength=len(plan.sensors))
     ledger = make_ledger(plan, received.tolist(), np.zeros(len(plan.sensors), np.int64), engine.counts)
-    recent = remember(no_samples(plan), track)
+    recent = remember(no_samples(plan), [seen(track)])
     losses: dict[str, Losses] = {}
     health = assess(plan, estimate=engine.estimate, ledger=ledger, recent=recent, losses=losses)
     return health.sensors[sensor].notes

@@ -7,7 +7,7 @@ import numpy as np
 from tests.fusion.setups import Sample, events_of
 
 from fuselog.fusion import Engine, Ledger, Plan, compile_plan, parse_config
-from fuselog.fusion.health import Health, HealthMemory, Recent, assess, no_judgement, no_samples, remember, watch
+from fuselog.fusion.health import Health, HealthMemory, Recent, assess, no_judgement, no_samples, remember, seen, watch
 from fuselog.fusion.ledger import make_ledger
 
 S = 1_000_000_000
@@ -71,7 +71,7 @@ class Run:
         events = events_of(self.plan, samples)
         events = events._replace(arrival_ns=np.array([EPOCH + round(r.arrival * S) for r in came], np.int64))
         self._received += np.bincount(events.sensor, minlength=len(self._received))
-        self.recent = remember(self.recent, self.engine.advance(events))
+        self.recent = remember(self.recent, [seen(self.engine.advance(events))])
         return self
 
     @property

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from fuselog.fusion import Decision, Filter, Stream, Track, compile_plan, parse_config
-from fuselog.fusion.health import Health, Losses, assess, no_samples, remember
+from fuselog.fusion import Decision, Filter, Stream, compile_plan, parse_config
+from fuselog.fusion.health import Health, Losses, Seen, assess, no_samples, remember, seen
 from fuselog.schemas import CdrEncoder, Messages, definition
 
 KIND = "geometry_msgs/msg/PoseStamped"
@@ -38,20 +38,16 @@ def health_of(rows: Rows, *, losses: dict[str, Losses] | None = None, pieces: in
         stamps = np.array([round(t * S) for _, t, _, _ in part], np.int64)
         data, size = encoder.encode(stamps, np.array([[x, y] for _, _, x, y in part]).reshape(-1, 2))
         n = len(part)
-        recent = remember(
-            recent,
-            filter.feed(
-                Messages(
-                    stream=np.array(["ab".index(topic) for topic, _, _, _ in part], np.int32),
-                    data=data,
-                    start=np.arange(n) * size,
-                    length=np.full(n, size),
-                    log_time=stamps,
-                    publish_time=stamps,
-                    sequence=np.zeros(n, np.int64),
-                )
-            ),
+        messages = Messages(
+            stream=np.array(["ab".index(topic) for topic, _, _, _ in part], np.int32),
+            data=data,
+            start=np.arange(n) * size,
+            length=np.full(n, size),
+            log_time=stamps,
+            publish_time=stamps,
+            sequence=np.zeros(n, np.int64),
         )
+        recent = remember(recent, [seen(filter.feed(messages))])
     return assess(PLAN, estimate=filter.estimate, ledger=filter.ledger, recent=recent, losses=losses or {})
 
 
@@ -145,33 +141,31 @@ def test_losses_on_the_way() -> None:
 
 def test_memory_is_bounded() -> None:
     """The last 1000 of each sensor, the newest last; what a window sees never changes."""
-    first = remember(no_samples(PLAN), filled(range(500)))
+    first = remember(no_samples(PLAN), [filled(range(500))])
     windows, whole = first, list(range(500))
     for begin in range(500, 4000, 7):
-        windows = remember(windows, filled(range(begin, begin + 7)))
+        windows = remember(windows, [filled(range(begin, begin + 7))])
         whole += range(begin, begin + 7)
         assert windows[0].stamp_ns.tolist() == whole[-1000:]
     assert first[0].stamp_ns.tolist() == list(range(500))
     assert [len(window) for window in windows] == [1000, 0]
     assert windows[0].log.whole.shape[1] < 1500
-    assert remember(windows, filled(range(5000)))[0].stamp_ns.tolist() == list(range(4000, 5000))
+    assert remember(windows, [filled(range(5000))])[0].stamp_ns.tolist() == list(range(4000, 5000))
 
 
 def test_memory_may_be_continued_twice() -> None:
     """Two continuations of one memory do not write over each other."""
-    base = remember(no_samples(PLAN), filled(range(10)))
-    one, other = remember(base, filled([20, 21])), remember(base, filled([30]))
+    base = remember(no_samples(PLAN), [filled(range(10))])
+    one, other = remember(base, [filled([20, 21])]), remember(base, [filled([30])])
     assert one[0].stamp_ns.tolist() == [*range(10), 20, 21]
     assert other[0].stamp_ns.tolist() == [*range(10), 30]
     assert base[0].stamp_ns.tolist() == list(range(10))
 
 
-def filled(stamps: Sequence[int]) -> Track:
-    """A track of the first sensor."""
+def filled(stamps: Sequence[int]) -> Seen:
+    """Samples of the first sensor."""
     n = len(stamps)
-    return Track(
-        states=PLAN.states,
-        sensors=("a", "b"),
+    return Seen(
         t_ns=np.array(stamps),
         stamp_ns=np.array(stamps),
         arrival_ns=np.array(stamps),
@@ -181,11 +175,8 @@ def filled(stamps: Sequence[int]) -> Track:
         z=np.zeros((n, 5)),
         nis=np.ones(n),
         dof=np.full(n, 2),
-        x=np.zeros((n, 4)),
-        P=np.zeros((n, 10)),
         innovation=np.zeros((n, 2)),
         innovation_variance=np.zeros((n, 2)),
-        absorbed=np.zeros((n, 2)),
     )
 
 

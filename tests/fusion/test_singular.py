@@ -10,7 +10,7 @@ from tests.fusion.setups import MEASURED, Sample, events_of, place_of, put, setu
 from tests.fusion.test_step import assert_all_symmetric
 
 from fuselog.fusion import Decision, Engine, Filter, Outputs, load_plan
-from fuselog.fusion.health import assess, no_samples, remember
+from fuselog.fusion.health import assess, no_samples, remember, seen
 from fuselog.fusion.track import unpack
 
 SECOND = 1_000_000_000
@@ -41,7 +41,7 @@ def begun(plan, x):
 def health_of(plan, engine, *tracks):
     recent = no_samples(plan)
     for track in tracks:
-        recent = remember(recent, track)
+        recent = remember(recent, [seen(track)])
     ledger = Filter(plan, order="as_received").ledger
     return assess(plan, estimate=engine.estimate, ledger=ledger, recent=recent, losses={})
 

@@ -18,7 +18,7 @@ from fastapi import FastAPI
 
 from fuselog.fusion import Estimate, Filter, Plan, Stream, compile_plan, parse_config
 from fuselog.fusion.commands import Command, CommandError, Configure, Reset, SetState
-from fuselog.fusion.health import Recent, assess, no_samples, remember
+from fuselog.fusion.health import Recent, assess, no_samples, remember, seen
 from fuselog.replay.recording import Recording, RecordingStatus, RecordOptions
 from fuselog.schemas import CdrEncoder, Messages, definition, pack
 from fuselog.service.live.member import Snapshot
@@ -94,7 +94,7 @@ class Robot:
     def feed(self, messages: Messages) -> None:
         """Fuse what comes."""
         with self._lock:
-            self._recent = remember(self._recent, self._filter.feed(messages))
+            self._recent = remember(self._recent, [seen(self._filter.feed(messages))])
             self._arrival = time.monotonic()
 
     def snapshots(self) -> Mapping[str, Snapshot]:

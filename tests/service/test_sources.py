@@ -1,11 +1,13 @@
 """Samples into batches: which stream, whose numbering, what is missed, and when the type is asked for again."""
 
+from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
 import zenoh
 
-from fuselog.service.live.sources import Numbered, Progress, Sources
+from fuselog.schemas import Messages
+from fuselog.service.live.sources import Batch, Numbered, Progress, Sources
 from fuselog.service.wire import Tag, write_tag
 
 A, B = b"a" * 16, b"b" * 16
@@ -39,10 +41,17 @@ def identify(key: str, media: str) -> int | str:
     return 7 + int(key[1:]) if media == "good" else f"{media} is not known"
 
 
+def batched(sources: Sources, arrivals: Sequence[Numbered]) -> Messages:
+    """The samples that can be used."""
+    batch = Batch()
+    sources.collect(arrivals, batch)
+    return batch.messages()
+
+
 def test_batch_in_order_of_arrival() -> None:
     """Streams, payloads and times; the publisher's time counts, else that of arrival."""
     sources = Sources(["k0", "k1"], identify)
-    batch = sources.batch([arrival(1, b"one", Tag(1, 3 * S, A)), arrival(0, b""), arrival(1, b"two", Tag(2, -4, A))])
+    batch = batched(sources, [arrival(1, b"one", Tag(1, 3 * S, A)), arrival(0, b""), arrival(1, b"two", Tag(2, -4, A))])
     assert batch.stream.tolist() == [8, 7, 8]
     assert [batch.data[s : s + n].tobytes() for s, n in zip(batch.start, batch.length, strict=True)] == [
         b"one",
@@ -56,15 +65,15 @@ def test_batch_in_order_of_arrival() -> None:
 
 def test_no_samples() -> None:
     """An empty batch is a batch."""
-    assert len(Sources(["k0"], identify).batch([])) == 0
+    assert len(batched(Sources(["k0"], identify), [])) == 0
 
 
 def test_each_publisher_counts_for_itself() -> None:
     """Gaps are missed; joining in the middle, starting anew and untagged samples are not."""
     sources = Sources(["k0"], identify)
     for sequence, source in ((5, A), (6, A), (1, B), (10, A), (2, B), (9, A), (11, A)):
-        sources.batch([arrival(0, b"x", Tag(sequence, S, source))])
-    sources.batch([arrival(0, b"x")])
+        batched(sources, [arrival(0, b"x", Tag(sequence, S, source))])
+    batched(sources, [arrival(0, b"x")])
     assert sources.missed == [3]
     assert sources.progress() == {
         A.hex(): {"k0": Progress(received=5, missed=3)},
@@ -83,9 +92,9 @@ def test_unknown_types_are_counted_and_asked_again() -> None:
 
     sources = Sources(["k0"], later)
     for at_ns in (10 * S, 11 * S, 12 * S):
-        assert len(sources.batch([arrival(0, b"x", at_ns=at_ns)])) == 0
+        assert len(batched(sources, [arrival(0, b"x", at_ns=at_ns)])) == 0
     assert (sources.unknown, sources.reasons, len(asked)) == ([3], ["not known"], 1)
-    assert len(sources.batch([arrival(0, b"x", at_ns=13 * S)])) == 1
+    assert len(batched(sources, [arrival(0, b"x", at_ns=13 * S)])) == 1
     assert (sources.unknown, sources.reasons, len(asked)) == ([3], [""], 2)
 
 
@@ -93,5 +102,5 @@ def test_sources_are_bounded() -> None:
     """Ever new publishers do not fill the memory."""
     sources = Sources(["k0"], identify)
     for number in range(5000):
-        sources.batch([arrival(0, b"x", Tag(1, S, number.to_bytes(16, "little")))])
+        batched(sources, [arrival(0, b"x", Tag(1, S, number.to_bytes(16, "little")))])
     assert len(sources.progress()) == 4096

@@ -187,7 +187,7 @@ def test_filter_that_fails(tmp_path: Path, small_log: Path) -> None:
     broken = (
         "from fuselog.service.live import sources\n"
         "def fail(*_): raise RuntimeError('broken')\n"
-        "sources.Sources.batch = fail\n"
+        "sources.Sources.collect = fail\n"
         "from fuselog.service.cli import main; main()"
     )
     service = subprocess.Popen([sys.executable, "-c", broken, "serve", path], stderr=subprocess.PIPE, text=True)

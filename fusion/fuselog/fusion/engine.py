@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.commands import CommandError
 from fuselog.fusion.events import Decision, Events
+from fuselog.fusion.flat import Few, make_samples, make_track
 from fuselog.fusion.kept import check_end, load_history, save_history, take_into
 from fuselog.fusion.kernel.fields import Block
 from fuselog.fusion.kernel.memory import blank_rows, compact_history, empty_history, scratch
@@ -79,17 +80,25 @@ class Engine:
             tables = tables._replace(gain=np.zeros_like(plan.tables.gain), gap_ns=-1, covariance=1)
         self._tables, self._work = Block(tables), Block(scratch(self._kernel, plan.tables))
         self._any_time = Block(tables._replace(period_ns=0))
+        self._few = Few(plan)
         self._ahead: Block[History] | None = None  # an entry, and what is predicted from it
 
     def advance(self, events: Events) -> Track:
         """Apply the events, in the order given, and return a row for each."""
-        rows = blank_rows(self._kernel, events.size, self.plan.tables.M)
-        self.apply(Block(make_samples(events)), Block(rows))
+        n = events.size
+        few = self._few
+        if n <= few.most:
+            few.put(events)
+            self.apply(few.samples, few.rows, slice(0, n))
+            return few.track(self.plan, events)
+        rows = blank_rows(self._kernel, n, self.plan.tables.M)
+        self.apply(Block(make_samples(events)), Block(rows), slice(0, n))
         return make_track(self.plan, events, rows)
 
-    def apply(self, samples: Block[Samples], rows: Block[Rows]) -> None:
-        """``advance`` in memory that its owner has made, and may use again."""
-        n, done, advance = samples.record.size, 0, self._advance
+    def apply(self, samples: Block[Samples], rows: Block[Rows], some: slice) -> None:
+        """``advance`` by some of the samples, in memory that its owner has made, and may use again."""
+        done, n, advance = some.start, some.stop, self._advance
+        samples.put("size", n)
         tables, history, work = self._tables.at, self._history.at, self._work.at
         while (done := advance(tables, history, work, samples.at, done, rows.at)) < n:
             self._grow()
@@ -241,32 +250,3 @@ def _moments(tables: Tables, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         return t_ns
     moments = -(-t_ns // tables.period_ns) * tables.period_ns
     return np.where(t_ns == NEVER, NEVER, moments)
-
-
-def make_samples(events: Events) -> Samples:
-    """Events as a kernel takes them."""
-    return Samples(events.size, *(np.ascontiguousarray(column).reshape(-1) for column in events[:6]))
-
-
-def make_track(plan: Plan, events: Events, rows: Rows) -> Track:
-    """What a kernel wrote for the events; shares the memory of ``rows``."""
-    n, M, N = events.size, plan.tables.M, len(plan.states)
-    packed = N * (N + 1) // 2
-    return Track(
-        states=plan.states,
-        sensors=tuple(sensor.name for sensor in plan.sensors),
-        t_ns=rows.t_ns,
-        stamp_ns=events.t_ns,
-        arrival_ns=events.arrival_ns,
-        sensor=events.sensor,
-        seq=events.seq,
-        decision=rows.decision,
-        z=events.z,
-        nis=rows.nis,
-        dof=rows.dof,
-        x=rows.x[: n * N].reshape(n, N),
-        P=rows.P[: n * packed].reshape(n, packed),
-        innovation=rows.nu.reshape(n, M),
-        innovation_variance=rows.S.reshape(n, M),
-        absorbed=rows.absorbed.reshape(n, M),
-    )

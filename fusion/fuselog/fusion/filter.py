@@ -11,6 +11,7 @@ from fuselog.fusion.commands import Answer, Command, CommandError, Configure, Re
 from fuselog.fusion.engine import Engine, Estimate, Snapshot
 from fuselog.fusion.events import Events, blank_events
 from fuselog.fusion.intake import Intake
+from fuselog.fusion.intake.feeds import Ints
 from fuselog.fusion.ledger import Ledger, make_ledger
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.preparation import Change, Preparation, Prepared
@@ -61,7 +62,7 @@ class Filter:
         self._window_ns = None if live else 0
         settles = plan.config.smooth is not None or (output.settled and live)
         self._ahead = Preparation(plan, hold=not live, settle=settles)
-        self._engine = Engine(plan, window_ns=self._window_ns)
+        self.engine = Engine(plan, window_ns=self._window_ns)
         self._shadow = Shadow(plan, window_ns=self._window_ns) if compare and not is_optimal(plan) else None
         self._settled = Engine(plan, window_ns=0) if output.settled and live else None
         self._smoother = FixedLag(plan) if plan.config.smooth is not None else None
@@ -71,9 +72,14 @@ class Filter:
     def warm_up(self) -> None:
         """Compile, or load from the cache, what the first sample, tick or question would have to wait for."""
         self._advance(blank_events(0, self.plan.tables.M))
-        self._engine.warm_up()
+        self.engine.warm_up()
         if self._smoother is not None:
             self._smoother.warm_up()
+
+    @property
+    def alone(self) -> bool:
+        """Whether nothing goes along with its engine."""
+        return self._ticks is None and self._shadow is None and self._settled is None and self._smoother is None
 
     @property
     def intake(self) -> Intake:
@@ -87,6 +93,10 @@ class Filter:
     def prepare(self, messages: Messages) -> Prepared:
         """The first half of ``feed``: decode, bind and order. Touches nothing that ``apply`` touches."""
         return self._ahead.take(messages)
+
+    def arrange(self, events: Events, received_ns: Ints) -> Prepared:
+        """The rest of ``prepare``, of events that its intake has given."""
+        return self._ahead.arrange(events, {}, received_ns)
 
     def command(self, command: Command, t_ns: int | None = None) -> Track:
         """Follow a command, after everything fed before it and at the filter's newest time; returns rows it settled.
@@ -148,7 +158,7 @@ class Filter:
         What ``beside`` has not given yet is not part of it.
         """
         followers: Tree = {
-            "engine": self._engine.save(),
+            "engine": self.engine.save(),
             "shadow": None if self._shadow is None else self._shadow.engine.save(),
             "settled": None if self._settled is None else self._settled.save(),
             "smoother": None if self._smoother is None else self._smoother.save(),
@@ -173,7 +183,7 @@ class Filter:
     def _load(self, tree: Tree) -> None:
         self._given = _Given()
         self._ahead.load(tree["ahead"])
-        self._engine.load(tree["engine"])
+        self.engine.load(tree["engine"])
         if self._shadow is not None:
             self._shadow.engine.load(tree["shadow"])
         if self._settled is not None:
@@ -185,40 +195,40 @@ class Filter:
 
     def snapshot(self) -> Snapshot:
         """The engine's."""
-        return self._engine.snapshot()
+        return self.engine.snapshot()
 
     @property
     def estimate(self) -> Estimate:
         """The newest state."""
-        return self._engine.estimate
+        return self.engine.estimate
 
     def estimate_at(self, t_ns: int) -> Estimate:
         """The state at a time: see ``Engine.estimate_at``."""
-        return self._engine.estimate_at(t_ns)
+        return self.engine.estimate_at(t_ns)
 
     @property
     def optimality_ratio(self) -> float | None:
         """The variances over those that the optimal gain would have; None where that is not followed."""
         if self._shadow is None or not self.plan.tables.covariance:
             return None
-        return self._shadow.ratio(self._engine.estimate)
+        return self._shadow.ratio(self.engine.estimate)
 
     @property
     def ledger(self) -> Ledger:
         """What became of every sample, sensor by sensor."""
-        return make_ledger(self.plan, self.intake.received, np.array(self._ahead.waiting()), self._engine.counts)
+        return make_ledger(self.plan, self.intake.received, np.array(self._ahead.waiting()), self.engine.counts)
 
     def _advance(self, events: Events) -> Track:
         if self._shadow is not None:
             self._shadow.engine.advance(events)
         if self._ticks is not None:
-            return self._ticks.advance(self._engine, events)
-        return self._engine.advance(events)
+            return self._ticks.advance(self.engine, events)
+        return self.engine.advance(events)
 
     def _followers(self) -> list[Engine | FixedLag]:
         """All that have a state of their own."""
         shadow = None if self._shadow is None else self._shadow.engine
-        return [each for each in (self._engine, shadow, self._settled, self._smoother) if each is not None]
+        return [each for each in (self.engine, shadow, self._settled, self._smoother) if each is not None]
 
     def _obey(self, change: Change) -> None:
         for follower in self._followers():
@@ -243,10 +253,10 @@ class Filter:
             self._shadow = None
         elif self._shadow is None:
             self._shadow = Shadow(self.plan, window_ns=self._window_ns)
-            self._shadow.engine.restore(self._engine.snapshot())
+            self._shadow.engine.restore(self.engine.snapshot())
 
     def _answer(self, change: Change, reason: str = "") -> None:
-        t_ns = self._engine.estimate.t_ns
+        t_ns = self.engine.estimate.t_ns
         command, _, after, asked = change
         self._given.answers.append(Answer(command=command, t_ns=t_ns, after_ns=after, asked_ns=asked, reason=reason))
 

@@ -8,7 +8,7 @@ from fuselog.fusion.changes import changed_plan, check_state
 from fuselog.fusion.commands import Command, CommandError, Configure, Reset, SetState
 from fuselog.fusion.events import Decision, Events, blank_events
 from fuselog.fusion.intake import ClockGuard, Intake, StampOrder
-from fuselog.fusion.intake.intake import Floats
+from fuselog.fusion.intake.feeds import Floats, Ints
 from fuselog.fusion.kept import take_whole
 from fuselog.fusion.kernel.tables import NEVER
 from fuselog.fusion.plan import Plan
@@ -52,9 +52,12 @@ class Preparation:
 
     def take(self, messages: Messages) -> Prepared:
         """A batch of messages, in the order of arrival."""
-        events, levers = self.intake.take(messages)
-        if len(messages):
-            self.after_ns = max(self.after_ns, int(messages.log_time.max()))
+        return self.arrange(*self.intake.take(messages), messages.log_time)
+
+    def arrange(self, events: Events, levers: dict[int, Floats], received_ns: Ints) -> Prepared:
+        """What the intake made of messages that were received then."""
+        if len(received_ns):
+            self.after_ns = max(self.after_ns, int(received_ns.max()))
         self._clock.mark(events)
         if self._floor != NEVER:
             late = (events.fault == Decision.FUSED) & (events.t_ns < self._floor)

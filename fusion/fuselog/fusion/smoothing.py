@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.engine import Snapshot, make_samples, make_track
+from fuselog.fusion.engine import Snapshot
 from fuselog.fusion.events import Events, blank_events
+from fuselog.fusion.flat import make_samples, make_track
 from fuselog.fusion.kept import check_end, load_history, save_history, take_into, take_whole
 from fuselog.fusion.kernel.fields import call
 from fuselog.fusion.kernel.memory import blank_rows, empty_history, move_history, scratch

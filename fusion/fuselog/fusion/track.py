@@ -1,5 +1,6 @@
 """What came out: one row per processed event. Every output and every picture is read from it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -8,6 +9,9 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.events import Decision
 from fuselog.fusion.kernel.tables import NEVER
+from fuselog.schemas.compiled import kernel
+
+_FUSED, _GATED = int(Decision.FUSED), int(Decision.GATED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,9 +88,25 @@ def unpack(packed: NDArray[np.float64], n: int) -> NDArray[np.float64]:
 
 def moved(track: Track) -> NDArray[np.int64]:
     """The rows whose sample moved the estimate, from when every state is known: those worth publishing."""
-    tried = (track.decision == Decision.GATED) & (track.dof > 0)  # not refused before the filter saw it
-    used = ((track.decision == Decision.FUSED) | tried) & (track.t_ns != NEVER)
-    return np.flatnonzero(used & np.isfinite(track.x).all(axis=1))
+    moves = np.empty(len(track), np.bool_)
+    _mark_moved(track.decision, track.dof, track.t_ns, track.x, moves)
+    return moves.nonzero()[0]
+
+
+@kernel
+def _mark_moved(
+    decision: NDArray[np.uint8],
+    dof: NDArray[np.int64],
+    t_ns: NDArray[np.int64],
+    x: NDArray[np.float64],
+    moves: NDArray[np.bool_],
+) -> None:
+    for row in range(len(t_ns)):
+        tried = decision[row] == _GATED and dof[row] > 0  # not refused before the filter saw it
+        known = (decision[row] == _FUSED or tried) and t_ns[row] != NEVER
+        for state in range(x.shape[1]):
+            known = known and math.isfinite(x[row, state])
+        moves[row] = known
 
 
 def period_ns(rate: float) -> int:

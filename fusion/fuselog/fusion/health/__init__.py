@@ -6,7 +6,7 @@ from fuselog.fusion.health.findings import Ages, Finding, Level, Losses, SensorS
 from fuselog.fusion.health.judge import HOLD_NS, HealthChange, HealthMemory, judge, no_judgement, watch
 from fuselog.fusion.health.message import HEALTH, health_message
 from fuselog.fusion.health.sensor import SensorHealth
-from fuselog.fusion.health.window import Recent, Window, no_samples, remember
+from fuselog.fusion.health.window import Recent, Seen, Window, no_samples, remember, seen
 
 __all__ = [
     "HEALTH",
@@ -23,6 +23,7 @@ __all__ = [
     "NisHealth",
     "RateHealth",
     "Recent",
+    "Seen",
     "SensorHealth",
     "SensorStatus",
     "Status",
@@ -34,5 +35,6 @@ __all__ = [
     "no_judgement",
     "no_samples",
     "remember",
+    "seen",
     "watch",
 ]

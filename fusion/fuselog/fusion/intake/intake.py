@@ -1,8 +1,8 @@
 """Raw messages in, events out: every sensor decoded and bound, in the order of arrival."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,56 +10,22 @@ from numpy.typing import NDArray
 
 from fuselog.fusion.config import Problem, did_you_mean
 from fuselog.fusion.events import Decision, Events, blank_events, join
-from fuselog.fusion.intake.bind import Binder, make_binder, without_noise
-from fuselog.fusion.intake.learned import FieldCheck
+from fuselog.fusion.intake.feeds import Feed, Floats, Ints, Route, carries, make_feed, make_tap, route, samples_of
 from fuselog.fusion.intake.mounts import (
     IDENTITY,
-    Mount,
     StaticTransforms,
     check_transforms,
-    configured_mount,
     load_mount,
 )
 from fuselog.fusion.intake.stream import Stream, load_messages, own_messages, same_topic, save_messages
 from fuselog.fusion.kept import take_into, take_whole
-from fuselog.fusion.plan import Plan, SensorPlan
-from fuselog.fusion.plan.readings import PARTS, Shape, sensor_parts
+from fuselog.fusion.plan import Plan
+from fuselog.fusion.plan.readings import PARTS, Shape
 from fuselog.fusion.sealed import Tree
-from fuselog.schemas import Codec, Fault, Messages, SchemaError
+from fuselog.schemas import Fault, Messages
 
 TF_STATIC = "/tf_static"
-_FROM_FAULT = np.array([Decision.FUSED, Decision.INVALID_SIZE, Decision.INVALID_SCHEMA], np.uint8)
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class _Tap:
-    """How one stream feeds one sensor."""
-
-    stream: Stream
-    codec: Codec
-    binder: Binder
-    stamped: bool  # whether the messages carry a stamp; the time of arrival stands in for one
-    when: Codec | None = None  # of the number that is 0 in messages that are no samples
-
-
-@dataclass(slots=True)
-class _Feed:
-    """One sensor, the streams that feed it, and what it holds back until its mount is known."""
-
-    sensor: SensorPlan
-    mount: Mount | None
-    taps: dict[int, _Tap] = field(default_factory=dict[int, _Tap])
-    held: list[Messages] = field(default_factory=list[Messages])
-    taken: int = 0  # messages that became events
-    reference: float = math.nan  # Pa, once it is known
-    field_check: FieldCheck | None = None
-
-    @property
-    def pending(self) -> int:
-        return sum(len(messages) for messages in self.held)
+_FEW = 256  # messages whose streams it pays to look at first
 
 
 class Taken(NamedTuple):
@@ -78,7 +44,8 @@ class Intake:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._feeds = [_feed(sensor) for sensor in plan.sensors]
+        self._routes: dict[int, tuple[Route, ...]] | None = None  # until something changes
+        self._feeds = [make_feed(sensor) for sensor in plan.sensors]
         self._transforms = StaticTransforms()
         self._tf_streams: dict[int, Stream] = {}
         self._datum = _configured_datum(plan)
@@ -125,15 +92,30 @@ class Intake:
         taps = [(number, tap.stream) for feed in self._feeds for number, tap in feed.taps.items()]
         return dict(sorted([*taps, *self._tf_streams.items()], key=lambda each: each[0]))
 
+    @property
+    def routes(self) -> Mapping[int, tuple[Route, ...]]:
+        """By stream, in the order of the ranks: where its messages go, where that depends on nothing that is to come.
+
+        A stream that is not there needs ``take``.
+        """
+        if self._routes is None:
+            found: dict[int, list[Route | None]] = {number: [None] for number in self._tf_streams}
+            for feed in self._feeds:
+                for number, tap in feed.taps.items():
+                    found.setdefault(number, []).append(route(feed, tap, self._datum))
+            whole = {number: [each for each in routes if each is not None] for number, routes in found.items()}
+            self._routes = {number: tuple(each) for number, each in whole.items() if len(each) == len(found[number])}
+        return self._routes
+
     def configure(self, plan: Plan) -> None:
         """Go on with a plan of the same sensors; raises ``ConfigError``, and stays as it is, for one that cannot be."""
         bound = [
-            {number: self._tap(sensor, tap.stream) for number, tap in feed.taps.items()}
+            {number: make_tap(self._plan, sensor, tap.stream) for number, tap in feed.taps.items()}
             for feed, sensor in zip(self._feeds, plan.sensors, strict=True)
         ]
         for feed, sensor, taps in zip(self._feeds, plan.sensors, bound, strict=True):
             feed.sensor, feed.taps = sensor, taps
-        self._plan = plan
+        self._plan, self._routes = plan, None
 
     def save(self) -> Tree:
         """What ``load`` takes."""
@@ -159,7 +141,7 @@ class Intake:
 
         Raises ``ValueError``, ``LookupError``, or what ``open`` does, where that cannot be.
         """
-        self._feeds = [_feed(sensor) for sensor in self._plan.sensors]
+        self._feeds, self._routes = [make_feed(sensor) for sensor in self._plan.sensors], None
         self._tf_streams.clear()
         for each in tree["streams"]:
             description = dict(each)
@@ -182,9 +164,10 @@ class Intake:
         """
         topic = same_topic(stream.topic)
         fed = [feed for feed in self._feeds if same_topic(feed.sensor.settings.topic) == topic]
-        taps = [self._tap(feed.sensor, stream) for feed in fed]
+        taps = [make_tap(self._plan, feed.sensor, stream) for feed in fed]
         for feed, tap in zip(fed, taps, strict=True):
             feed.taps[number] = tap
+        self._routes = None
         if topic == same_topic(TF_STATIC):
             check_transforms(stream)
             self._tf_streams[number] = stream
@@ -192,6 +175,7 @@ class Intake:
 
     def take(self, messages: Messages) -> Taken:
         """The events of a batch."""
+        self._routes = None
         self._learn_datum(messages)
         self._learn_references(messages)
         levers: dict[int, Floats] = {}
@@ -208,7 +192,7 @@ class Intake:
         if not self._tf_streams:
             yield np.arange(len(messages))
             return
-        told = np.flatnonzero(_carries(messages.stream, self._tf_streams))
+        told = np.flatnonzero(carries(messages.stream, self._tf_streams))
         for first, last in zip([0, *told], [*told, len(messages)], strict=True):
             if first in told:
                 at = np.array([first])
@@ -218,7 +202,14 @@ class Intake:
 
     def _segment(self, messages: Messages, index: Ints) -> Events:
         """The events of a run, what was held back first, then by arrival and rank."""
-        batches = [(feed, *batch) for feed in self._feeds for batch in self._ready(feed, messages, index)]
+        streams = messages.stream[index]
+        there = set(streams.tolist()) if len(index) <= _FEW else None
+        batches = [
+            (feed, *batch)
+            for feed in self._feeds
+            if there is None or feed.held or not there.isdisjoint(feed.taps)
+            for batch in self._ready(feed, messages, index, streams)
+        ]
         sizes = [len(places) for _, _, _, places in batches]
         events = blank_events(sum(sizes), self._plan.tables.M)
         row, first = np.arange(events.size), 0
@@ -230,64 +221,45 @@ class Intake:
             first += size
         return events
 
-    def _ready(self, feed: _Feed, messages: Messages, index: Ints) -> list[tuple[Messages, Ints, Ints]]:
+    def _ready(
+        self, feed: Feed, messages: Messages, index: Ints, streams: NDArray[np.int32]
+    ) -> list[tuple[Messages, Ints, Ints]]:
         """What a sensor can give now: messages, which of them, and their places in the order of arrival."""
-        mine = _samples(feed, messages, index[_carries(messages.stream[index], feed.taps)])
+        mine = samples_of(feed, messages, index[carries(streams, feed.taps)])
         if feed.mount is None:
             feed.held += [own_messages(messages, mine)] if len(mine) else []
             return []
+        now = [(messages, mine, mine)] if len(mine) else []
+        if not feed.held:
+            return now
         held = [(batch, np.arange(len(batch)), np.full(len(batch), -1)) for batch in feed.held]
         feed.held.clear()
-        return [*held, (messages, mine, mine)] if len(mine) else held
+        return held + now
 
-    def _fill(self, events: Events, rows: Ints, feed: _Feed, messages: Messages, index: Ints) -> None:
+    def _fill(self, events: Events, rows: Ints, feed: Feed, messages: Messages, index: Ints) -> None:
         """Decode and bind the messages at ``index``, in their order, into these rows of the events."""
         events.sensor[rows] = feed.sensor.rank
         events.seq[rows] = feed.taken + np.arange(len(rows))
         events.arrival_ns[rows] = messages.log_time[index]
         feed.taken += len(rows)
         for number, tap in feed.taps.items():
-            mine = np.flatnonzero(messages.stream[index] == number)
-            if len(mine) == 0:
-                continue
-            chosen, at = index[mine], rows[mine]
-            columns = tap.codec.decode(messages.data, messages.start[chosen], messages.length[chosen])
-            events.t_ns[at] = columns.t_ns if tap.stamped else messages.log_time[chosen]
-            events.fault[at] = _FROM_FAULT[columns.fault]
-            tap.binder.bind(columns.values, events, at, feed.mount or IDENTITY, self._datum, feed.reference)
+            chosen, at = index, rows
+            if len(feed.taps) > 1:
+                mine = (messages.stream[index] == number).nonzero()[0]
+                if len(mine) == 0:
+                    continue
+                chosen, at = index[mine], rows[mine]
+            tap.fill(events, at, messages, chosen, feed, self._datum)
         if not feed.sensor.settings.enabled:
             events.fault[rows] = Decision.DISABLED
         elif feed.field_check is not None:
             feed.field_check.mark(events, rows)
 
-    def _tap(self, sensor: SensorPlan, stream: Stream) -> _Tap:
-        """Decoder and binder of a stream for a sensor; every mismatch is a ``ConfigError`` at the sensor."""
-        settings = sensor.settings
-
-        def refuse(key: str, reason: str) -> Exception:
-            return self._plan.source.complain([Problem(("sensors", sensor.name, key), reason)])
-
-        if settings.type is not None and settings.type != stream.schema_name:
-            raise refuse("type", f"{settings.topic} carries {stream.schema_name}, not {settings.type}")
-        parts = sensor_parts(settings, sensor.names, stream.schema_name)
-        if isinstance(parts, str):
-            raise refuse("fuse", parts)
-        bare = without_noise(sensor, parts)
-        if bare:
-            raise refuse("noise", f"{settings.topic} gives none for {', '.join(bare)}; say noise: {{{bare[0]}: sd}}")
-        binder = make_binder(sensor, parts)
-        try:
-            stamp = settings.stamp or stream.stamp
-            when = None if settings.when is None else stream.codec([settings.when])
-            return _Tap(stream, stream.codec(binder.fields, stamp), binder, stamp is not None, when)
-        except SchemaError as error:
-            raise refuse("topic", str(error)) from error
-
-    def _place(self, feed: _Feed, messages: Messages, index: Ints) -> bool:
+    def _place(self, feed: Feed, messages: Messages, index: Ints) -> bool:
         """Find the mount of a sensor that waits for it, as soon as its frame and the transforms are known."""
         frame, base = feed.sensor.settings.frame, self._plan.config.output.child
         source = feed.held[0] if feed.held else messages
-        mine = np.arange(1) if feed.held else index[_carries(messages.stream[index], feed.taps)][:1]
+        mine = np.arange(1) if feed.held else index[carries(messages.stream[index], feed.taps)][:1]
         if frame is None and len(mine):
             frame = _frame(feed.taps[int(source.stream[mine[0]])].stream, source, mine)
         feed.mount = None if frame is None else self._transforms.find(base, frame)
@@ -319,16 +291,6 @@ class Intake:
                         first, feed.reference = at, float(values[0])
 
 
-def _feed(sensor: SensorPlan) -> _Feed:
-    settings = sensor.settings
-    return _Feed(
-        sensor,
-        configured_mount(settings),
-        reference=math.nan if settings.reference == "first_sample" else settings.reference,
-        field_check=None if settings.field is None else FieldCheck(settings.field),
-    )
-
-
 def _first(
     stream: Stream, fields: Sequence[str], messages: Messages, number: int, usable: Callable[[Floats], Any]
 ) -> tuple[int, Floats]:
@@ -338,28 +300,6 @@ def _first(
     good = np.isfinite(columns.values).all(axis=1) & usable(columns.values) & (columns.fault == Fault.NONE)
     found = np.flatnonzero(good)[:1]
     return (int(index[found[0]]), columns.values[found[0]].copy()) if len(found) else (len(messages), np.empty(0))
-
-
-def _samples(feed: _Feed, messages: Messages, index: Ints) -> Ints:
-    """Those of a sensor's messages that are samples: not the ones whose ``when`` is 0."""
-    if feed.sensor.settings.when is None:
-        return index
-    kept = np.ones(len(index), bool)
-    for number, tap in feed.taps.items():
-        if tap.when is not None:
-            mine = np.flatnonzero(messages.stream[index] == number)
-            at = index[mine]
-            columns = tap.when.decode(messages.data, messages.start[at], messages.length[at])
-            kept[mine] = (columns.values[:, 0] != 0.0) | (columns.fault != Fault.NONE)
-    return index[kept]
-
-
-def _carries(stream: NDArray[np.int32], numbers: Iterable[int]) -> NDArray[np.bool_]:
-    """Which messages come from one of these few streams."""
-    found = np.zeros(len(stream), bool)
-    for number in numbers:
-        found |= stream == number
-    return found
 
 
 def _configured_datum(plan: Plan) -> Floats:

@@ -224,6 +224,9 @@ def write(tables: Tables, history: History, at: int, decision: int, rows: Rows, 
         row_copy(rows.P, packed, s, b + COVARIANCE + i * LD + i, LD)  # what is too much, the next row covers
         packed += N - i
     if at < 0:
+        rows.nis[e], rows.dof[e] = math.nan, 0
+        for i in range(e * M, (e + 1) * M):
+            rows.nu[i] = rows.S[i] = rows.absorbed[i] = math.nan
         return
     rows.nis[e], rows.dof[e] = history.nis[at], history.dof[at]
     for i in range(M):

@@ -60,6 +60,10 @@ class Block(Generic[_Record]):
                 self._words[number] = value
         self.at = _place(self._words)
 
+    def put(self, name: str, number: int) -> None:
+        """Change a whole number for the kernels; ``record`` stays as it was made."""
+        self._words[type(self.record)._fields.index(name)] = number
+
 
 def call(function: Callable[..., int | None], *arguments: Block[Any] | NamedTuple | float) -> int:
     """Call a kernel: named tuples become blocks for as long as it runs; one that stays the same comes as a block."""

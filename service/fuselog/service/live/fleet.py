@@ -67,7 +67,7 @@ class Fleet:
         self._unsaved: dict[str, str] = {}  # filters whose last checkpoint could not be written, and why
         asked = snapshot or threading.Event()
         self._recorders = {group: recorder for group in groups if (recorder := _recorder(group, session, asked))}
-        self._runner = Runner(groups, Inbox(), self._make)
+        self._runner = Runner(groups, Inbox(), self._make, self._post.flush)
         self._publishing = Worker("publisher", self._post.run, ended)
         self._fusing = Worker("filter", self._runner.run, ended)
         self._unsubscribe = [self._subscribe(number, *each) for number, each in enumerate(self._runner.subscriptions)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fuselog.fusion import Estimate, Filter, Ledger, Outputs, Plan, Track, join_tracks
+from fuselog.fusion import Estimate, Filter, Ledger, Outputs, Plan, Track
 from fuselog.fusion.captures import Captures, fill
 from fuselog.fusion.commands import Command, Configure
 from fuselog.fusion.health import (
@@ -16,19 +16,22 @@ from fuselog.fusion.health import (
     HealthMemory,
     Losses,
     Recent,
+    Seen,
     health_message,
     no_judgement,
     no_samples,
     remember,
+    seen,
     watch,
 )
 from fuselog.fusion.intake import same_topic
 from fuselog.fusion.sealed import CheckpointError, seal, unseal
+from fuselog.fusion.together import shape_of
 from fuselog.replay.recording import RecordingStatus
 from fuselog.schemas import FuselogError
 from fuselog.service.live.group import Group
 from fuselog.service.live.outbox import Outbox
-from fuselog.service.live.sources import Numbered, Progress, Sources
+from fuselog.service.live.sources import Batch, Numbered, Progress, Sources
 from fuselog.service.streams import Learn, Streams, stream_types
 
 _MOST_CHANGES = 1000
@@ -71,12 +74,13 @@ class Member:
         self.group, self.outbox = group, outbox
         self._captures = captures
         self._plan, self._learn = plan, learn  # the plan at the start: a command may give the filter another
+        self.shape = shape_of(plan)
         self._begin()
         self.last_arrival: float | None = None  # monotonic s
-        self.watched = self.looked = time.monotonic()  # when health was judged, and the snapshot made
+        self.watched = time.monotonic()  # when health was judged, and the snapshot made
         self._outputs = Outputs(plan)
         self._recent = no_samples(plan)
-        self._tracks: list[Track] = []  # since the last look
+        self._seen: list[Seen] = []  # since the last judgement
         self._shed, self._oversized, self._missed = ([0] * len(self.keys) for _ in range(3))
         self._origin = "it began anew"
         self._memory: HealthMemory = no_judgement()
@@ -90,10 +94,18 @@ class Member:
         """What the filter is called."""
         return self.filter.plan.config.id
 
-    def feed(self, arrivals: Sequence[Numbered]) -> None:
-        """Fuse samples of ``keys``, by their numbers, and give the results away."""
+    def collect(self, arrivals: Sequence[Numbered], batch: Batch) -> slice:
+        """Put samples of ``keys``, by their numbers, into a batch; returns where in it they are."""
+        first = len(batch)
+        self._sources.collect(arrivals, batch)
         self.last_arrival = time.monotonic()
-        self._give(self.filter.feed(self._sources.batch(arrivals)), since_ns=arrivals[0].arrival_ns)
+        return slice(first, len(batch))
+
+    def give(self, track: Track, *, since_ns: int | None = None) -> None:
+        """Give away what the filter made of samples of which the oldest arrived then."""
+        self._seen.append(seen(track))
+        encoded = self._outputs.encode(track, self.filter.beside(), wanted=self.outbox.wanted)
+        self.outbox.offer(encoded, since_ns=since_ns)
 
     def command(self, command: Command, asked_ns: int) -> None:
         """Follow a command asked for at ``asked_ns``; raises ``CommandError`` or ``ConfigError`` where it cannot.
@@ -103,9 +115,9 @@ class Member:
         if isinstance(command, Configure):
             command = Configure(fill(command.text, self._captures))
         try:
-            self._give(self.filter.command(command, asked_ns))
+            self.give(self.filter.command(command, asked_ns))
         except FuselogError:
-            self._give(self.filter.feed(self._sources.batch([])))
+            self.give(self.filter.feed(Batch().messages()))
             raise
 
     def turn_away(self, *, shed: Sequence[int], oversized: Sequence[int], missed: Sequence[int]) -> None:
@@ -115,12 +127,8 @@ class Member:
         """
         self._shed, self._oversized, self._missed = list(shed), list(oversized), list(missed)
 
-    def look(self) -> None:
-        """Renew the snapshot."""
-        self.snapshot = self._look()
-
     def watch(self) -> None:
-        """Judge the health anew and publish it; to be called at least twice a second."""
+        """Judge the health anew, publish it, and renew the snapshot."""
         self._judge()
         if self.outbox.health_wanted:
             payload = health_message(self._health, filter_id=self.id, frame=self.filter.plan.config.output.frame)
@@ -129,7 +137,7 @@ class Member:
 
     def finish(self) -> None:
         """Give away what was held back."""
-        self._give(self.filter.finish())
+        self.give(self.filter.finish())
         self.outbox.offer(self._outputs.finish())
         self._judge()
         self.outbox.close()
@@ -171,15 +179,10 @@ class Member:
         self._streams = Streams(self.filter.intake, stream_types(types), self._learn)
         self._sources = Sources(self.keys, self._streams.identify)
 
-    def _give(self, track: Track, *, since_ns: int | None = None) -> None:
-        self._tracks.append(track)
-        encoded = self._outputs.encode(track, self.filter.beside(), wanted=self.outbox.wanted)
-        self.outbox.offer(encoded, since_ns=since_ns)
-
     def _remember(self) -> None:
-        if self._tracks:
-            self._recent = remember(self._recent, join_tracks(self._tracks))
-            self._tracks.clear()
+        if self._seen:
+            self._recent = remember(self._recent, self._seen)
+            self._seen.clear()
 
     def _judge(self) -> Health:
         """The health now; what it changed goes to the changes that are shown."""
@@ -205,8 +208,6 @@ class Member:
         return self._health
 
     def _look(self) -> Snapshot:
-        self._remember()
-        self.looked = time.monotonic()
         return Snapshot(
             plan=self.filter.plan,
             estimate=self.filter.estimate,

@@ -23,13 +23,17 @@ _LATENCIES = 1000
 class Post:
     """The publishing thread of a service, for the outboxes of all its filters. ``put`` never waits.
 
+    What is put goes out together at the next ``flush``: a thread that is woken for each filter would be in the way of
+    the next one.
+
     Publishing waits for a slow subscriber. One that takes nothing for 5 s loses its connection by Zenoh's own rule,
     and only that one.
     """
 
     def __init__(self, *, capacity: int = 131_072) -> None:
         self._capacity = capacity  # messages
-        self._queue: queue.SimpleQueue[Callable[[], int] | None] = queue.SimpleQueue()  # to do, for so many messages
+        self._queue: queue.SimpleQueue[list[Callable[[], int]] | None] = queue.SimpleQueue()
+        self._gathered: list[Callable[[], int]] = []  # to do, each for so many messages
         self._offered = self._done = 0  # messages; each counter has one writer
 
     def put(self, size: int, publish: Callable[[], int]) -> bool:
@@ -37,16 +41,24 @@ class Post:
         if self._offered - self._done + size > self._capacity:
             return False
         self._offered += size
-        self._queue.put(publish)
+        self._gathered.append(publish)
         return True
+
+    def flush(self) -> None:
+        """Let what was put go out; called on the thread of the filters."""
+        if self._gathered:
+            self._queue.put(self._gathered)
+            self._gathered = []
 
     def run(self) -> None:
         """Publish until ``finish``."""
-        while (publish := self._queue.get()) is not None:
-            self._done += publish()
+        while (gathered := self._queue.get()) is not None:
+            for publish in gathered:
+                self._done += publish()
 
     def finish(self) -> None:
         """Let ``run`` end after what was put."""
+        self.flush()
         self._queue.put(None)
 
 

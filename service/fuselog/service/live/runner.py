@@ -9,15 +9,15 @@ from typing import TypeVar
 
 from fuselog.fusion.captures import Captures, KeyPattern
 from fuselog.schemas import FuselogError
+from fuselog.service.live.feeding import Feeding
 from fuselog.service.live.group import Group
 from fuselog.service.live.inbox import Arrival, Inbox, Request
 from fuselog.service.live.member import Member, Snapshot
 from fuselog.service.live.sources import Numbered
 
-_LOOK_EVERY_S = 0.1  # how old a snapshot may be while samples come
-_WATCH_EVERY_S = 0.25  # and the judgement of a filter's health
+_WATCH_EVERY_S = 0.25  # from one judgement of a filter's health to the next while samples come
+_ATTEND_SHARE = 0.1  # of the time, most for all judgements then
 _GATHER_S = 0.004  # most that a turn waits for more to come, where turns are what takes the time
-_AT_ONCE = 2  # filters that are shown in one turn while samples come
 _QUIET_S = 0.02  # without samples, then snapshots are renewed at once
 _MOST_UNKNOWN = 1000
 _MOST_ENDED = 100
@@ -42,9 +42,10 @@ class Runner:
     ``heartbeat`` is the monotonic time (s) of the last turn.
     """
 
-    def __init__(self, groups: Sequence[Group], inbox: Inbox, make: Make) -> None:
+    def __init__(self, groups: Sequence[Group], inbox: Inbox, make: Make, flush: Callable[[], None]) -> None:
+        """``flush`` lets go out what filters have given away."""
         self.inbox = inbox
-        self._make = make
+        self._make, self._flush, self._feeding = make, flush, Feeding()
         self._subscriptions: list[tuple[Group, KeyPattern]] = [
             (group, pattern) for group in groups for pattern in group.patterns
         ]
@@ -59,6 +60,7 @@ class Runner:
         self._stopping = False
         self.last_checkpoints: list[tuple[Group, str, bytes]] = []  # when ``run`` is over
         self._stale: set[str] = set()  # ids whose snapshot is old
+        self._attend_from = 0.0  # monotonic s
         self.heartbeat = time.monotonic()
         self.snapshots: Mapping[str, Snapshot] = {}
         self.ended: Mapping[str, Snapshot] = {}
@@ -81,6 +83,7 @@ class Runner:
             if future.set_running_or_notify_cancel():
                 try:
                     future.set_result(question(self._members[id]))
+                    self._members[id].watched = 0.0  # what it may have changed is shown first
                 except Exception as error:  # whoever asked gets it
                     future.set_exception(error)
                 self._stale.add(id)
@@ -116,11 +119,13 @@ class Runner:
             arrivals = self.inbox.take(_QUIET_S if self._stale or stopping else _WATCH_EVERY_S)
             self.heartbeat = begun = time.monotonic()
             self._turn(arrivals)
+            self._flush()
             now = time.monotonic()
             if now - tidied > _WATCH_EVERY_S:
                 self._expire(now)
                 tidied = now
             self._attend(now, quiet=not arrivals)
+            self._flush()
             if stopping and not arrivals:
                 break
             if arrivals and not stopping and len(arrivals) < self.inbox.capacity // 16:
@@ -136,33 +141,29 @@ class Runner:
 
     def _turn(self, arrivals: Sequence[Arrival | Request]) -> None:
         """Bring samples to their filters, several at once, and do what was asked at its place among them."""
-        batches: dict[int, tuple[Member, list[Numbered]]] = {}
+        batches: dict[Member, list[Numbered]] = {}
         for item in arrivals:
             if isinstance(item, Request):
                 self._feed(batches)
                 item.do()
                 continue
-            for member, key in self._route(item):
-                batches.setdefault(id(member), (member, []))[1].append(Numbered(key, item.sample, item.arrival_ns))
+            subscription, sample, arrival_ns = item
+            route = subscription, str(sample.key_expr)
+            targets = self._routes.get(route) or self._find(*route)
+            for member, key in targets:
+                samples = batches.get(member)
+                if samples is None:
+                    samples = batches[member] = []
+                samples.append(Numbered(key, sample, arrival_ns))
         self._feed(batches)
 
-    def _feed(self, batches: dict[int, tuple[Member, list[Numbered]]]) -> None:
-        for member, samples in batches.values():
-            member.feed(samples)
-            self._stale.add(member.id)
+    def _feed(self, batches: dict[Member, list[Numbered]]) -> None:
+        self._feeding.feed(batches)
+        self._stale.update(member.id for member in batches)
         batches.clear()
 
-    def _route(self, arrival: Arrival) -> list[Target]:
-        """Which filters a sample is for; none for one of an unknown key, which is counted."""
-        key = str(arrival.sample.key_expr)
-        found = self._routes.get((arrival.subscription, key))
-        if found is None:
-            found = self._find(arrival.subscription, key)
-        if not found:
-            self._unknown_samples += 1
-        return found
-
     def _find(self, subscription: int, key: str) -> list[Target]:
+        """Which filters a sample is for; none for one of an unknown key, which is counted."""
         group, pattern = self._subscriptions[subscription]
         captures = pattern.match(key)
         if captures is None:
@@ -190,6 +191,7 @@ class Runner:
         return f"there is a filter {name!r} already" if name in self._members else ""
 
     def _refuse(self, key: str, reason: str) -> list[Target]:
+        self._unknown_samples += 1
         self._unknown[key] = reason
         self._unknown.move_to_end(key)
         if len(self._unknown) > _MOST_UNKNOWN:
@@ -235,23 +237,25 @@ class Runner:
                 self._show()
 
     def _attend(self, now: float, *, quiet: bool) -> None:
-        """Show filters anew and judge their health when it is time; a few in a turn, for samples wait meanwhile."""
+        """Judge filters and show them anew when it is time.
+
+        While samples come, one in a turn, and for no more than a share of the time: more filters are judged less often.
+        """
+        if not quiet and now < self._attend_from:
+            return
         due = [
-            (member.looked, id)
+            (member.watched, id)
             for id, member in self._members.items()
-            if now - member.watched > _WATCH_EVERY_S
-            or (id in self._stale and (quiet or now - member.looked > _LOOK_EVERY_S))
+            if now - member.watched > _WATCH_EVERY_S or (quiet and id in self._stale)
         ]
-        for _, id in sorted(due)[: None if quiet else _AT_ONCE]:
+        for _, id in sorted(due)[: None if quiet else 1]:
             member = self._members[id]
             self._turn_away(member)
-            if quiet or now - member.watched > _WATCH_EVERY_S:
-                member.watch()
-            else:
-                member.look()
+            member.watch()
             self._stale.discard(id)
         if due:
             self._show()
+            self._attend_from = now + (time.monotonic() - now) / _ATTEND_SHARE
 
     def _turn_away(self, member: Member) -> None:
         shed, oversized = self._of(self.inbox.shed, member), self._of(self.inbox.oversized, member)

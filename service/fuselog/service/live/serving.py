@@ -1,5 +1,6 @@
 """The live service: filters on Zenoh and their health over HTTP, from start to an orderly end."""
 
+import gc
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -65,6 +66,7 @@ def serve(
             with open_session(service_endpoints(first.config.zenoh, first.source), timeout_s=_CONNECT_S) as session:
                 fleet = Fleet(groups, session, ended=stop.set, snapshot=snapshot)
                 served.fleet = fleet
+                gc.freeze()  # walking all that is loaded would hold up samples for a tenth of a second
                 started(_address(listener, "https" if tls else "http"))
                 every_s = _tend_every_s(plans)
                 while not stop.wait(every_s):

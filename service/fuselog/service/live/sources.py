@@ -1,7 +1,7 @@
 """Samples as they came into batches of messages, with an account of each publisher's numbering."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,6 +35,31 @@ class Progress(NamedTuple):
     repeated: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Samples of one filter after those of another."""
+
+    rows: list[tuple[int, int, int]] = field(default_factory=list[tuple[int, int, int]])  # stream, time, number
+    payloads: list[bytes] = field(default_factory=list[bytes])
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def messages(self) -> Messages:
+        """All of it."""
+        table = np.array(self.rows, np.int64).reshape(-1, 3)
+        data, start, length = pack(self.payloads)
+        return Messages(
+            stream=table[:, 0].astype(np.int32),
+            data=data,
+            start=start,
+            length=length,
+            log_time=table[:, 1].copy(),
+            publish_time=table[:, 1].copy(),
+            sequence=table[:, 2].copy(),
+        )
+
+
 @dataclass(slots=True)
 class _Source:
     """One publisher of one key and type."""
@@ -62,10 +87,8 @@ class Sources:
         self._identify = identify
         self._sources: dict[tuple[int, str, bytes], _Source] = {}
 
-    def batch(self, arrivals: Sequence[Numbered]) -> Messages:
-        """The samples that can be used, in the order in which they came."""
-        rows: list[tuple[int, int, int]] = []
-        payloads: list[bytes] = []
+    def collect(self, arrivals: Sequence[Numbered], batch: "Batch") -> None:
+        """Put the samples that can be used into a batch, in the order in which they came."""
         for key, sample, arrival_ns in arrivals:
             attachment = sample.attachment
             tag = UNTAGGED if attachment is None else read_tag(attachment.to_bytes())
@@ -77,9 +100,8 @@ class Sources:
                 source.repeated += 1
                 continue
             source.floor = 0
-            rows.append((source.stream, tag.t_ns if tag.t_ns > 0 else arrival_ns, max(tag.sequence, 0)))
-            payloads.append(sample.payload.to_bytes())
-        return _messages(rows, payloads)
+            batch.rows.append((source.stream, tag.t_ns if tag.t_ns > 0 else arrival_ns, max(tag.sequence, 0)))
+            batch.payloads.append(sample.payload.to_bytes())
 
     def save(self) -> list[list[Any]]:
         """How far each publisher was, for ``load``; publishers that send no numbers are left out."""
@@ -128,17 +150,3 @@ class Sources:
         found = self._identify(self.keys[key], media)
         self.reasons[key] = found if isinstance(found, str) else ""
         return None if isinstance(found, str) else found
-
-
-def _messages(rows: Sequence[tuple[int, int, int]], payloads: Sequence[bytes]) -> Messages:
-    table = np.array(rows, np.int64).reshape(-1, 3)
-    data, start, length = pack(payloads)
-    return Messages(
-        stream=table[:, 0].astype(np.int32),
-        data=data,
-        start=start,
-        length=length,
-        log_time=table[:, 1].copy(),
-        publish_time=table[:, 1].copy(),
-        sequence=table[:, 2].copy(),
-    )
