@@ -21,11 +21,11 @@ outbox.Publisher = Loses
 _FLIPS = """
 from dataclasses import replace
 import numpy as np
-from fuselog.service.live.sources import Sources
-batch, done = Sources.batch, []
-def flip(self, arrivals):
-    messages = batch(self, arrivals)
-    if self.progress() and not done and messages.log_time.max(initial=0) > 1_700_000_005_000_000_000:
+from fuselog.service.live.sources import Batch
+whole, done = Batch.messages, []
+def flip(self):
+    messages = whole(self)
+    if not done and messages.log_time.max(initial=0) > 1_700_000_005_000_000_000:
         data = messages.data.copy()
         for start, length in zip(messages.start, messages.length):
             numbers = data[start + 4 : start + 4 + (length - 4) // 8 * 8].view("<f8")
@@ -35,7 +35,7 @@ def flip(self, arrivals):
                 done.append(1)
         return replace(messages, data=data)
     return messages
-Sources.batch = flip
+Batch.messages = flip
 """
 
 
