@@ -34,6 +34,9 @@ class Beside(NamedTuple):
     answers: tuple[Answer, ...] = ()
 
 
+_NOTHING = Beside()
+
+
 @dataclass(slots=True)
 class _Given:
     """What was not asked for yet."""
@@ -144,6 +147,8 @@ class Filter:
 
     def beside(self) -> Beside:
         """What there is beside the rows, since this was last asked."""
+        if self.alone and not self._given.answers:
+            return _NOTHING
         given, self._given = self._given, _Given()
         return Beside(
             smoothed=join_tracks(given.smoothed) if given.smoothed else None,

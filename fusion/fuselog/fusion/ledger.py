@@ -1,7 +1,7 @@
 """The ledger: every sample that was received is accounted for, sensor by sensor, exactly."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,29 +34,30 @@ class Account:
 Ledger = dict[str, Account]
 
 
+_COUNTS = ("fused", "gated", "late", "duplicate", "skipped", "disabled")
+_PLACES = [(name, int(Decision[name.upper()])) for name in _COUNTS]
+_INVALID = [(d.name.removeprefix("INVALID_").lower(), int(d)) for d in Decision if d.invalid]
+
+
 def make_ledger(plan: Plan, received: Sequence[int], pending: NDArray[np.int64], counts: NDArray[np.int64]) -> Ledger:
     """The accounts of all sensors, from what came in, what is held, and ``counts`` (S, decisions)."""
-    reasons = [d for d in Decision if d.invalid]
+    columns = zip(plan.sensors, received, pending.tolist(), counts.tolist(), strict=True)
     return {
         sensor.name: Account(
-            received=received[i],
-            fused=int(counts[i, Decision.FUSED]),
-            gated=int(counts[i, Decision.GATED]),
-            late=int(counts[i, Decision.LATE]),
-            duplicate=int(counts[i, Decision.DUPLICATE]),
-            skipped=int(counts[i, Decision.SKIPPED]),
-            disabled=int(counts[i, Decision.DISABLED]),
-            pending=int(pending[i]),
-            invalid={d.name.removeprefix("INVALID_").lower(): int(counts[i, d]) for d in reasons},
+            received=came,
+            pending=held,
+            invalid={reason: mine[place] for reason, place in _INVALID},
+            **{name: mine[place] for name, place in _PLACES},
         )
-        for i, sensor in enumerate(plan.sensors)
+        for sensor, came, held, mine in columns
     }
 
 
 def sum_accounts(ledger: Ledger) -> Account:
     """One account for all sensors."""
     accounts = list(ledger.values())
-    reasons = {reason for account in accounts for reason in account.invalid}
-    invalid = {d: sum(account.invalid[d] for account in accounts) for d in sorted(reasons)}
-    counts = [field.name for field in fields(Account) if field.name != "invalid"]
-    return Account(invalid=invalid, **{name: sum(getattr(account, name) for account in accounts) for name in counts})
+    reasons = sorted({reason for account in accounts for reason in account.invalid})
+    return Account(
+        invalid={reason: sum(account.invalid[reason] for account in accounts) for reason in reasons},
+        **{name: sum(getattr(account, name) for account in accounts) for name in ("received", "pending", *_COUNTS)},
+    )

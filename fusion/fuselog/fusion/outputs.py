@@ -65,6 +65,7 @@ class Outputs:
         kinds = {name: kind for name, (kind, there) in wanted.items() if there}
         self.topics = [Output(f"{base}/{name}" if name else base, kind) for name, kind in kinds.items()]
         self._stream = {name: number for number, name in enumerate(kinds)}
+        self._all = range(len(kinds))
         self._pace, self._settled_pace = _Pace(rate), _Pace(rate)
         self._estimate = _estimate_encoder(plan)
         self._odometry = _odometry_encoder(plan) if plan.card.has_pose else None
@@ -74,21 +75,21 @@ class Outputs:
     def encode(self, track: Track, beside: Beside | None = None, *, wanted: Container[int] | None = None) -> Messages:
         """The messages of the next rows of a track: estimate, decision, odometry of each row; then those beside it.
 
-        ``wanted``: of decisions and odometry, which cost most, only those whose stream is in it are made.
+        ``wanted``: of estimates, decisions and odometry only those whose stream is in it are made.
 
         ``log_time`` is the time of the estimate, or where nothing was estimated yet, the stamp of the sample; of a
         command, when the last message before it was received, and ``publish_time`` when it was asked for.
         """
-        due, rows = self._pace.due(track)
-        jobs = self._estimate_jobs(due, rows, odometry=wanted is None or self._stream.get("odometry", -1) in wanted)
-        if wanted is None or self._stream["decision"] in wanted:
+        wanted = self._all if wanted is None else wanted
+        jobs = self._estimate_jobs(*self._pace.due(track), wanted)
+        if self._stream["decision"] in wanted:
             jobs += self._decision_jobs(track)
         return _encode(jobs + ([] if beside is None else self._beside_jobs(beside, len(track))))
 
     def finish(self) -> Messages:
         """The estimates that still wait for the end of their period."""
         one = np.zeros(1, np.int64)
-        jobs = [job for due in self._pace.rest() for job in self._estimate_jobs(due, one)]
+        jobs = [job for due in self._pace.rest() for job in self._estimate_jobs(due, one, self._all)]
         return _encode([*jobs, *(self._track_job("settled", due, 0) for due in self._settled_pace.rest())])
 
     def estimates(self, encoded: Messages) -> NDArray[np.uint8]:
@@ -107,12 +108,12 @@ class Outputs:
             jobs.append(_Job(self._stream["decision"], mine, encoder, stamps[mine], values, times[mine]))
         return jobs
 
-    def _estimate_jobs(self, due: Track, rows: NDArray[np.int64], *, odometry: bool = True) -> list["_Job"]:
-        if not len(due):
-            return []
-        table = np.concatenate([due.x, due.P], axis=1)
-        jobs = [_Job(0, rows, self._estimate, due.t_ns, table, due.t_ns)]
-        if odometry and self._odometry is not None:
+    def _estimate_jobs(self, due: Track, rows: NDArray[np.int64], wanted: Container[int]) -> list["_Job"]:
+        jobs: list[_Job] = []
+        if len(due) and 0 in wanted:
+            table = np.concatenate([due.x, due.P], axis=1)
+            jobs.append(_Job(0, rows, self._estimate, due.t_ns, table, due.t_ns))
+        if len(due) and self._odometry is not None and self._stream["odometry"] in wanted:
             values = self._odometry_values(due.x, due.P)
             jobs.append(_Job(self._stream["odometry"], rows, self._odometry, due.t_ns, values, due.t_ns))
         return jobs

@@ -245,5 +245,6 @@ class Member:
 def _delay(latencies_ns: deque[int]) -> Delay | None:
     if not latencies_ns:
         return None
-    median, p99, most = np.percentile(np.array(latencies_ns) / 1e9, (50, 99, 100)).tolist()
-    return Delay(median_s=median, p99_s=p99, most_s=most)
+    ordered = sorted(latencies_ns)
+    last = len(ordered) - 1
+    return Delay(median_s=ordered[last // 2] / 1e9, p99_s=ordered[last * 99 // 100] / 1e9, most_s=ordered[last] / 1e9)
