@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuselog.fusion.commands import Answer, command_text
+from fuselog.fusion.engine import Estimate
 from fuselog.fusion.filter import Beside
 from fuselog.fusion.kernel.tables import NEVER
 from fuselog.fusion.odometry import Odometry
@@ -91,6 +92,12 @@ class Outputs:
         one = np.zeros(1, np.int64)
         jobs = [job for due in self._pace.rest() for job in self._estimate_jobs(due, one, self._all)]
         return _encode([*jobs, *(self._track_job("settled", due, 0) for due in self._settled_pace.rest())])
+
+    def message(self, estimate: Estimate) -> bytes:
+        """An estimate whose time and states are all known as a payload of ``ESTIMATE``."""
+        values = np.concatenate([estimate.x, estimate.P[np.triu_indices(len(estimate.x))]])
+        data, _ = self._estimate.encode(np.array([estimate.t_ns]), values[np.newaxis])
+        return data.tobytes()
 
     def estimates(self, encoded: Messages) -> NDArray[np.uint8]:
         """The bytes of all estimates among the messages of ``encode``, one after the other."""

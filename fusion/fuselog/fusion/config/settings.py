@@ -338,6 +338,9 @@ class OutputSettings(Settings):
         None, description="Hz: estimates predicted to the multiples of 1/ticks in event time; by default none"
     )
     settled: bool = Field(False, description="also publish the estimates in the order of stamps, behind the lag window")
+    now: Annotated[float, Field(gt=0, le=200)] | None = Field(
+        None, description="Hz: estimates predicted to the time of the machine's clock, live only; by default none"
+    )
 
 
 class SmoothSettings(Settings):

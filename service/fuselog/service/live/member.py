@@ -1,5 +1,6 @@
 """One filter of a service: samples in, results to its outbox, and a snapshot of it for whoever asks."""
 
+import math
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -9,7 +10,7 @@ import numpy as np
 
 from fuselog.fusion import Estimate, Filter, Ledger, Outputs, Plan, Track
 from fuselog.fusion.captures import Captures, fill
-from fuselog.fusion.commands import Command, Configure
+from fuselog.fusion.commands import Command, CommandError, Configure
 from fuselog.fusion.health import (
     Health,
     HealthChange,
@@ -63,6 +64,7 @@ class Snapshot:
     delay: Delay | None = None  # None while nothing was published
     last_arrival: float | None  # monotonic s
     origin: str  # how it began: anew, or from a checkpoint, or why not from that
+    unpredicted: str = ""  # why nothing was predicted to the machine's time when it was last to be
     unsaved: str = ""  # why the last checkpoint could not be written
     recording: RecordingStatus | None = None  # None: there is to be none
 
@@ -82,7 +84,8 @@ class Member:
         self._recent = no_samples(plan)
         self._seen: list[Seen] = []  # since the last judgement
         self._shed, self._oversized, self._missed = ([0] * len(self.keys) for _ in range(3))
-        self._origin = "it began anew"
+        self._origin, self._unpredicted = "it began anew", ""
+        self._predict_from = 0.0  # monotonic s
         self._memory: HealthMemory = no_judgement()
         self._changes: deque[HealthChange] = deque(maxlen=_MOST_CHANGES)
         self._shown: tuple[HealthChange, ...] = ()
@@ -130,10 +133,23 @@ class Member:
     def watch(self) -> None:
         """Judge the health anew, publish it, and renew the snapshot."""
         self._judge()
-        if self.outbox.health_wanted:
+        if self.outbox.wants("health"):
             payload = health_message(self._health, filter_id=self.id, frame=self.filter.plan.config.output.frame)
-            self.outbox.tell_health(payload, self._health.t_ns or 0)
+            self.outbox.tell("health", payload, self._health.t_ns or 0)
         self.snapshot = self._look()
+
+    def predict_when_due(self, now: float) -> float:
+        """Publish the state predicted to the time of the machine's clock, if it is due at ``now`` (monotonic s).
+
+        Returns when it is due next; never, where it is not wanted.
+        """
+        rate = self.filter.plan.config.output.now
+        if rate is None:
+            return math.inf
+        if now >= self._predict_from:
+            self._predict_from = max(self._predict_from + 1 / rate, now)
+            self._predict()
+        return self._predict_from
 
     def finish(self) -> None:
         """Give away what was held back."""
@@ -171,6 +187,19 @@ class Member:
     def progress(self) -> dict[str, dict[str, Progress]]:
         """By publisher and key, exact."""
         return self._sources.progress()
+
+    def _predict(self) -> None:
+        self._unpredicted = ""
+        if self._health.t_ns is None or not self.outbox.wants("now"):
+            return
+        t_ns = time.time_ns()
+        try:
+            estimate = self.filter.estimate_at(t_ns)
+        except CommandError as error:
+            self._unpredicted = str(error)
+        else:
+            if estimate.known.all():
+                self.outbox.tell("now", self._outputs.message(estimate), t_ns)
 
     def _begin(self) -> None:
         self.filter = Filter(self._plan, order="as_received", compare=True)
@@ -221,6 +250,7 @@ class Member:
             delay=self._delay,
             last_arrival=self.last_arrival,
             origin=self._origin,
+            unpredicted=self._unpredicted,
         )
 
     def _losses(self) -> dict[str, Losses]:

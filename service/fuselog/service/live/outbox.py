@@ -5,12 +5,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Container
 from functools import partial
+from typing import Literal
 
 import numpy as np
 import zenoh
 
 from fuselog.fusion import Output, Outputs, Plan, Stream
 from fuselog.fusion.health import HEALTH
+from fuselog.fusion.outputs import ESTIMATE
 from fuselog.schemas import Messages, pack
 from fuselog.service.streams import Announcements
 from fuselog.service.transport import key_of
@@ -69,7 +71,10 @@ class Outbox:
         self.dropped = 0
         self.latencies_ns: deque[int] = deque(maxlen=_LATENCIES)  # from a sample's arrival to its published results
         self.record: Callable[[Messages], None] | None = None  # is given all that is offered, and never waits either
-        self.topics = (*Outputs(plan).topics, Output(f"{plan.config.output.estimate.rstrip('/')}/health", HEALTH))
+        base, outputs = plan.config.output.estimate.rstrip("/"), Outputs(plan).topics
+        live = {"health": HEALTH} if plan.config.output.now is None else {"now": ESTIMATE, "health": HEALTH}
+        self.topics = (*outputs, *(Output(f"{base}/{name}", kind) for name, kind in live.items()))
+        self._live = {name: len(outputs) + number for number, name in enumerate(live)}  # what a clock says, and no log
         self._post, self._told, self._source = post, told, source
         self._sequence = [0] * len(self.topics)
         media = [media_type("cdr", output.schema_name) for output in self.topics]
@@ -87,11 +92,6 @@ class Outbox:
             return range(len(self.topics))
         return {number for number, publisher in enumerate(self._publishers) if publisher.wanted}
 
-    @property
-    def health_wanted(self) -> bool:
-        """Whether anybody wants messages of health."""
-        return self.record is not None or self._publishers[-1].wanted
-
     def offer(self, messages: Messages, *, since_ns: int | None = None) -> None:
         """Give what ``Outputs.encode`` made to the publishing thread; ``since_ns``: when the oldest sample came."""
         if self.record is not None:
@@ -99,10 +99,14 @@ class Outbox:
         if len(messages) and not self._post.put(len(messages), partial(self._publish, messages, since_ns)):
             self.dropped += len(messages)
 
-    def tell_health(self, payload: bytes, t_ns: int) -> None:
-        """Give a message of health, of a time of the filter, to the publishing thread."""
+    def wants(self, name: Literal["now", "health"]) -> bool:
+        """Whether anybody wants messages of ``.../name``."""
+        return self._live[name] in self.wanted
+
+    def tell(self, name: Literal["now", "health"], payload: bytes, t_ns: int) -> None:
+        """Give a message of ``.../name``, of a time of the filter, to the publishing thread."""
         data, start, length = pack([payload])
-        stream, at = np.array([len(self.topics) - 1], np.int32), np.array([t_ns])
+        stream, at = np.array([self._live[name]], np.int32), np.array([t_ns])
         self.offer(
             Messages(
                 stream=stream,

@@ -1,5 +1,6 @@
 """The one thread that owns all filters of a service: takes what has come, brings it to its filters, shows snapshots."""
 
+import math
 import time
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Mapping, Sequence
@@ -60,7 +61,7 @@ class Runner:
         self._stopping = False
         self.last_checkpoints: list[tuple[Group, str, bytes]] = []  # when ``run`` is over
         self._stale: set[str] = set()  # ids whose snapshot is old
-        self._attend_from = 0.0  # monotonic s
+        self._attend_from = self._predict_from = 0.0  # monotonic s
         self.heartbeat = time.monotonic()
         self.snapshots: Mapping[str, Snapshot] = {}
         self.ended: Mapping[str, Snapshot] = {}
@@ -116,9 +117,11 @@ class Runner:
         tidied = 0.0
         while True:
             stopping = self._stopping
-            arrivals = self.inbox.take(_QUIET_S if self._stale or stopping else _WATCH_EVERY_S)
+            wait_s = _QUIET_S if self._stale or stopping else _WATCH_EVERY_S
+            arrivals = self.inbox.take(min(wait_s, max(self._predict_from - time.monotonic(), 0)))
             self.heartbeat = begun = time.monotonic()
             self._turn(arrivals)
+            self._predict()
             self._flush()
             now = time.monotonic()
             if now - tidied > _WATCH_EVERY_S:
@@ -216,6 +219,7 @@ class Runner:
         self._ids[group, captures] = name
         self._ended.pop(name, None)
         self._forget_routes(group)
+        self._predict_from = 0.0
 
     def _end(self, name: str) -> None:
         member = self._members.pop(name)
@@ -235,6 +239,15 @@ class Runner:
             if member.group.names and now - (member.last_arrival or now) > member.group.plan.config.fleet.expire:
                 self._end(name)
                 self._show()
+
+    def _predict(self) -> None:
+        """Have filters predict to the machine's time where that is due."""
+        if time.monotonic() < self._predict_from:
+            return
+        self._predict_from = math.inf
+        for member in self._members.values():
+            due = member.predict_when_due(time.monotonic())
+            self._predict_from = min(self._predict_from, due)
 
     def _attend(self, now: float, *, quiet: bool) -> None:
         """Judge filters and show them anew when it is time.

@@ -122,6 +122,7 @@ def health_plain(snapshot: Snapshot) -> dict[str, Any]:
     health: dict[str, Any] = plain(snapshot.health)
     dropped, recording = snapshot.unpublished, snapshot.recording
     wrong = [f"{dropped} results not published: subscribers are too slow"] if dropped else []
+    wrong += [f"nothing is published on .../now: {snapshot.unpredicted}"] if snapshot.unpredicted else []
     wrong += [f"no checkpoint could be written: {snapshot.unsaved}"] if snapshot.unsaved else []
     wrong += [] if recording is None else _recording_reasons(recording)
     health["reasons"] = [*wrong, *health["reasons"]]
