@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal
@@ -19,6 +19,7 @@ from fastapi import FastAPI
 from fuselog.fusion import Estimate, Filter, Plan, Stream, compile_plan, parse_config
 from fuselog.fusion.commands import Command, CommandError, Configure, Reset, SetState
 from fuselog.fusion.health import Recent, assess, no_samples, remember, seen
+from fuselog.replay.play import Status
 from fuselog.replay.recording import Recording, RecordingStatus, RecordOptions
 from fuselog.schemas import CdrEncoder, Messages, definition, pack
 from fuselog.service.live.member import Snapshot
@@ -154,6 +155,27 @@ class Robot:
         if what == "stop":
             self._recording.close()
         return self._recording.status()
+
+    def players(self) -> list[dict[str, Any]]:
+        """One that is paused."""
+        status = Status(
+            state="paused",
+            t_ns=10**18,
+            offset_s=1.5,
+            length_s=20.0,
+            rate=2.0,
+            rounds=0,
+            released=300,
+            slipped_s=0.0,
+        )
+        return [asdict(status) | {"player": "drive"}]
+
+    def play(self, name: str, command: str, arguments: Mapping[str, str]) -> dict[str, Any]:
+        """It stays as it is, but a rate needs a number."""
+        status = {each["player"]: each for each in self.players()}[name]
+        if command == "rate" and "value" not in arguments:
+            raise CommandError("value: a number is needed")
+        return status
 
     def _begin(self, plan: Plan) -> None:
         self.plan = plan

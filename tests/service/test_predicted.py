@@ -95,9 +95,7 @@ def test_between_samples_the_state_goes_on(robot: Robot) -> None:
 def test_stamps_of_another_clock(robot: Robot) -> None:
     """An hour ago is too far to predict from: nothing is published, and the health says why."""
     robot.send(1, time.time_ns() - 3600 * SECOND, 0.0)
-    reasons = until(
-        lambda: [reason for reason in robot.health()["reasons"] if ".../now" in reason], lambda found: bool(found)
-    )
+    reasons = until(lambda: [reason for reason in robot.health()["reasons"] if ".../now" in reason], bool)
     assert "no estimate at" in reasons[0]
     assert robot.health()["status"] != "healthy"
     assert robot.predicted == []

@@ -169,6 +169,19 @@ def ask(session: zenoh.Session, selector: str, *, timeout_s: float) -> list[byte
     return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
 
+def tell(session: zenoh.Session, selector: str, *, timeout_s: float) -> bytes | None:
+    """The text with which the one who follows ``selector`` answers; None where nobody does.
+
+    Raises ``RefusedError`` with the text of an answer that is an error.
+    """
+    for reply in session.get(selector, timeout=timeout_s):
+        if reply.err is not None:
+            raise RefusedError(reply.err.payload.to_bytes())
+        if reply.ok is not None:
+            return reply.ok.payload.to_bytes()
+    return None
+
+
 def alive(session: zenoh.Session, selector: str, *, timeout_s: float) -> list[str]:
     """The liveliness tokens that match ``selector``."""
     replies = session.liveliness().get(selector, timeout=timeout_s)

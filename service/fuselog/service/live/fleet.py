@@ -59,7 +59,7 @@ class Fleet:
     ) -> None:
         for group in groups:
             warm_up(group.plan)
-        self._session, self._groups = session, groups
+        self.session, self._groups = session, groups
         self._disown = own(session, [group.plan.config.output.estimate for group in groups])
         self._post, self._told = Post(), Announcements(session, outputs=True)
         self._source = secrets.token_bytes(16)
@@ -160,11 +160,11 @@ class Fleet:
     def _make(self, group: Group, captures: Captures) -> Member:
         """A filter of a group, and what it publishes with; called on the thread of the filters."""
         plan = group.plan_of(captures)
-        outbox = Outbox(self._session, self._post, self._told, plan, source=self._source)
+        outbox = Outbox(self.session, self._post, self._told, plan, source=self._source)
         recorder = self._recorders.get(group)
         if recorder is not None:
             outbox.record = partial(recorder.put_outputs, outbox.topics)
-        member = Member(group, captures, plan, outbox, learn=partial(learn, self._session))
+        member = Member(group, captures, plan, outbox, learn=partial(learn, self.session))
         saved = _saved(group, member.id)
         if saved is not None:
             member.resume(saved)
@@ -205,8 +205,8 @@ class Fleet:
         topics = {sensor.settings.topic: sensor.settings for sensor in group.plan.sensors}
         if pattern.topic in topics and topics[pattern.topic].reliable:
             missed = partial(self._miss, number)
-            return subscribe_reliably(self._session, pattern.expression, take, missed=missed)
-        return subscribe(self._session, pattern.expression, take)
+            return subscribe_reliably(self.session, pattern.expression, take, missed=missed)
+        return subscribe(self.session, pattern.expression, take)
 
     def _miss(self, number: int, _publisher: str, count: int) -> None:
         """Samples that nobody has any more, on the network thread."""

@@ -1,7 +1,7 @@
 """The fleet as the REST interface sees it, from before it is there."""
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Any, Literal
 
 from fuselog.fusion import Estimate
 from fuselog.fusion.commands import Command
@@ -9,6 +9,7 @@ from fuselog.replay.recording import RecordingStatus
 from fuselog.service.live.fleet import Fleet
 from fuselog.service.live.member import Snapshot
 from fuselog.service.live.runner import Unknown
+from fuselog.service.play.remote import command_player, players
 
 
 class Standby:
@@ -55,6 +56,14 @@ class Standby:
     def record(self, id: str, what: Literal["start", "stop", "snapshot"]) -> RecordingStatus:
         """As ``Served``."""
         return self._fleet(id).record(id, what)
+
+    def players(self) -> list[dict[str, Any]]:
+        """As ``Served``."""
+        return [] if self.fleet is None else players(self.fleet.session)
+
+    def play(self, name: str, command: str, arguments: Mapping[str, str]) -> dict[str, Any]:
+        """As ``Served``."""
+        return command_player(self._fleet(name).session, name, command, arguments)
 
     def _fleet(self, id: str) -> Fleet:
         if self.fleet is None:

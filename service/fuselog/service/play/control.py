@@ -14,7 +14,7 @@ from fuselog.service.zenoh_door import RefusedError, obey
 
 Arguments = Mapping[str, str]
 
-_PREFIX = "@fuselog/player"  # `**` does not match what begins with @: no query for everything stops a player
+PREFIX = "@fuselog/player"  # `**` does not match what begins with @: no query for everything stops a player
 
 
 def player_name(text: str) -> str:
@@ -35,9 +35,9 @@ def control(session: zenoh.Session, name: str, drive: Drive) -> Callable[[], Non
             status = drive.command(lambda playback: execute(playback, command, _arguments(str(query.parameters))))
         except CommandError as error:
             raise RefusedError(orjson.dumps({**about, "error": str(error)})) from error
-        return f"{_PREFIX}/{name}/{command}", orjson.dumps({**about, **status})
+        return f"{PREFIX}/{name}/{command}", orjson.dumps({**about, **status})
 
-    return obey(session, f"{_PREFIX}/{name}/*", follow)
+    return obey(session, f"{PREFIX}/{name}/*", follow)
 
 
 def execute(playback: Playback, command: str, arguments: Arguments) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from fuselog.service.rest.control import add_control
 from fuselog.service.rest.filters import add_filters
 from fuselog.service.rest.guard import LOOPBACK, OPEN, Guard
 from fuselog.service.rest.metrics import FilterMetrics, add_metrics
+from fuselog.service.rest.players import add_players
 from fuselog.service.rest.probes import Pulse, add_probes
 from fuselog.service.rest.problems import Problem, answer_defect, answer_http, answer_validation, documented
 from fuselog.service.rest.served import Served
@@ -57,6 +58,7 @@ def create_app(
     add_probes(app, alive=alive, ready=ready, pulse=app.state.pulse)
     add_filters(app, shown, waiting)
     add_control(app, shown, waiting)
+    add_players(app, served, waiting)
     add_stream(app, app.state.streams)
     add_metrics(app, [FilterMetrics(shown, traffic)])
     if page is not None:

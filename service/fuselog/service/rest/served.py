@@ -1,7 +1,7 @@
 """What the REST interface is given to answer from, and to hand commands to."""
 
 from collections.abc import Mapping
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from fuselog.fusion import Estimate
 from fuselog.fusion.commands import Command
@@ -48,5 +48,16 @@ class Served(Protocol):
         """Start, stop, or write a snapshot of the recording of a filter.
 
         Raises ``KeyError``, and ``CommandError`` where the configuration has none.
+        """
+        ...
+
+    def players(self) -> list[dict[str, Any]]:
+        """The status of each player in the network; waits for their answers."""
+        ...
+
+    def play(self, name: str, command: str, arguments: Mapping[str, str]) -> dict[str, Any]:
+        """Give a player a command, and wait for its status afterwards.
+
+        Raises ``KeyError`` where none has this name, ``CommandError`` where it cannot follow.
         """
         ...
