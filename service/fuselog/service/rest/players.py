@@ -18,7 +18,9 @@ PlayerName = Annotated[
     str, Path(pattern=r"^[^/\\*$?#;=\x00-\x1f\x7f]{1,128}$", description="as `fuselog play` says, or --name")
 ]
 Command = Literal["pause", "resume", "toggle", "rate", "seek", "step", "burst", "stop"]
-Rate = Annotated[float | None, Query(ge=0, le=_MOST, allow_inf_nan=False, description="of `rate`: times real time, or 0")]
+Rate = Annotated[
+    float | None, Query(ge=0, le=_MOST, allow_inf_nan=False, description="of `rate`: times real time, or 0")
+]
 To = Annotated[
     str | None,
     Query(pattern=r"^[0-9A-Za-z:.+-]{1,64}$", description="of `seek`: a time, or seconds from the beginning"),
