@@ -248,6 +248,8 @@ class Fleet:
     def _with_files(self, id: str, snapshot: Snapshot) -> Snapshot:
         """A snapshot with what other threads know."""
         unsaved, recorder = self._unsaved.get(id, ""), self._recorder_of(id)
+        if not unsaved and recorder is None:
+            return snapshot
         return replace(snapshot, unsaved=unsaved, recording=None if recorder is None else recorder.status)
 
 

@@ -112,7 +112,7 @@ def _add_all(app: FastAPI, shown: Shown) -> None:
     )
     async def filter_health(id: FilterId, request: Request) -> Response:  # pyright: ignore[reportUnusedFunction]  the same
         """What is wrong with a filter, and why. A degraded filter is still alive and ready."""
-        return answer_unless_known(request, shown.health(id), shown.health_mark(id))
+        return answer_unless_known(request, *shown.marked_health(id))
 
     @app.get(
         "/api/v1/filters/{id}/ledger",

@@ -19,8 +19,9 @@ _COLUMNS = ("stamp_ns", "arrival_ns", "seq", "decision", "nis", "dof", "innovati
 
 
 class Health(NamedTuple):
-    """The health of a filter, when it was looked at (monotonic s), and a mark of what it says."""
+    """The health of a filter, of which snapshot, when it was looked at (monotonic s), and a mark of what it says."""
 
+    snapshot: Snapshot
     value: dict[str, Any]
     at: float
     mark: str
@@ -52,13 +53,14 @@ class Shown:
 
     def health(self, id: str) -> dict[str, Any]:
         """The health of a filter; raises ``Refused`` (404)."""
+        return self.marked_health(id)[0]
+
+    def marked_health(self, id: str) -> tuple[dict[str, Any], str]:
+        """The same with a mark that changes when what it says does, but for the time since the last sample."""
         snapshot = self.snapshot(id)
         idle = None if snapshot.last_arrival is None else max(self._clock() - snapshot.last_arrival, 0.0)
-        return {**self._health_of(id, snapshot).value, "idle_s": idle}
-
-    def health_mark(self, id: str) -> str:
-        """Changes when what the health says does, but for the time since the last sample."""
-        return self._health_of(id, self.snapshot(id)).mark
+        health = self._health_of(id, snapshot)
+        return {**health.value, "idle_s": idle}, health.mark
 
     def filters(self) -> list[dict[str, Any]]:
         """All filters in a list, those that ended at the end."""
@@ -93,9 +95,9 @@ class Shown:
 
     def _health_of(self, id: str, snapshot: Snapshot) -> Health:
         now, known = self._clock(), self._health.get(id)
-        if known is None or now - known.at >= FRESH_S:
+        if known is None or (known.snapshot is not snapshot and now - known.at >= FRESH_S):
             value = health_plain(snapshot)
-            known = self._health[id] = Health(value, now, mark_of(orjson.dumps(_lasting(value))))
+            known = self._health[id] = Health(snapshot, value, now, mark_of(orjson.dumps(_lasting(value))))
             there = self.served.snapshots().keys() | self.served.ended().keys()
             if len(self._health) > len(there):
                 self._health = {id: health for id, health in self._health.items() if id in there}
