@@ -340,11 +340,11 @@ def test_full_disk(tmp_path: Path) -> None:
 HANGS = """import time
 from fuselog.service.live import fleet, member
 fleet._STUCK_S = 1.0
-feed = member.Member.feed
-def hang(self, arrivals):
-    feed(self, arrivals)
+give = member.Member.give
+def hang(self, track, *, since_ns=None):
+    give(self, track, since_ns=since_ns)
     time.sleep(3600)
-member.Member.feed = hang
+member.Member.give = hang
 from fuselog.service.cli import main; main()
 """
 

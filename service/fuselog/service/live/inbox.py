@@ -50,6 +50,11 @@ class Inbox:
         self._asleep = False
         self._shedding = False
 
+    @property
+    def empty(self) -> bool:
+        """Whether nothing waits."""
+        return not self._waiting
+
     def put(self, subscription: int, sample: zenoh.Sample) -> None:
         """Take in a sample."""
         size = len(sample.payload)

@@ -250,9 +250,9 @@ class Runner:
             self._predict_from = min(self._predict_from, due)
 
     def _attend(self, now: float, *, quiet: bool) -> None:
-        """Judge filters and show them anew when it is time.
+        """Judge filters and show them anew when it is time, until something comes.
 
-        While samples come, one in a turn, and for no more than a share of the time: more filters are judged less often.
+        While samples come, one in a turn, and for no more than a share of the time: many filters are judged less often.
         """
         if not quiet and now < self._attend_from:
             return
@@ -261,11 +261,13 @@ class Runner:
             for id, member in self._members.items()
             if now - member.watched > _WATCH_EVERY_S or (quiet and id in self._stale)
         ]
-        for _, id in sorted(due)[: None if quiet else 1]:
+        for _, id in sorted(due):
             member = self._members[id]
             self._turn_away(member)
             member.watch()
             self._stale.discard(id)
+            if not quiet or not self.inbox.empty:
+                break
         if due:
             self._show()
             self._attend_from = now + (time.monotonic() - now) / _ATTEND_SHARE
