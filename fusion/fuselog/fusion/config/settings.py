@@ -338,6 +338,9 @@ class OutputSettings(Settings):
         None, description="Hz: estimates predicted to the multiples of 1/ticks in event time; by default none"
     )
     settled: bool = Field(False, description="also publish the estimates in the order of stamps, behind the lag window")
+    encoding: Literal["cdr", "json", "protobuf"] = Field(
+        "cdr", description="of what a live service publishes; recordings and logs hold CDR"
+    )
 
 
 class SmoothSettings(Settings):

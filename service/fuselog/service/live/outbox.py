@@ -4,14 +4,15 @@ import queue
 import time
 from collections import deque
 from collections.abc import Callable, Container
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import zenoh
 
 from fuselog.fusion import Output, Outputs, Plan, Stream
 from fuselog.fusion.health import HEALTH
-from fuselog.schemas import Messages, pack
+from fuselog.schemas import Messages, Transcoder, definition, make_transcoder, pack, schema_to_text
+from fuselog.schemas.transcode import Encoding
 from fuselog.service.streams import Announcements
 from fuselog.service.transport import key_of
 from fuselog.service.wire import Tag, media_type, write_tag
@@ -63,7 +64,10 @@ class Post:
 
 
 class Outbox:
-    """The publishers of one filter. ``offer`` never waits: what does not fit is dropped and counted."""
+    """The publishers of one filter. ``offer`` never waits: what does not fit is dropped and counted.
+
+    What is offered is CDR; ``output.encoding`` is put on as it leaves, on the publishing thread.
+    """
 
     def __init__(self, session: zenoh.Session, post: Post, told: Announcements, plan: Plan, *, source: bytes) -> None:
         self.dropped = 0
@@ -72,13 +76,16 @@ class Outbox:
         self.topics = (*Outputs(plan).topics, Output(f"{plan.config.output.estimate.rstrip('/')}/health", HEALTH))
         self._post, self._told, self._source = post, told, source
         self._sequence = [0] * len(self.topics)
-        media = [media_type("cdr", output.schema_name) for output in self.topics]
+        transcoders = [_transcoder(plan.config.output.encoding, output.schema_name) for output in self.topics]
+        self._convert = [each.convert for each in transcoders]
+        media = [media_type(each.encoding, each.schema_name) for each in transcoders]
         self._keys = [key_of(output.topic) for output in self.topics]
         self._publishers = [
             Publisher(session, key, kind, cache=plan.config.zenoh.cache)
             for key, kind in zip(self._keys, media, strict=True)
         ]
-        told.add({key: [_stream(output)] for key, output in zip(self._keys, self.topics, strict=True)})
+        streams = [_stream(*each) for each in zip(self.topics, transcoders, strict=True)]
+        told.add({key: [stream] for key, stream in zip(self._keys, streams, strict=True)})
 
     @property
     def wanted(self) -> Container[int]:
@@ -129,7 +136,8 @@ class Outbox:
             if wanted[stream]:
                 self._sequence[stream] += 1
                 tag = Tag(self._sequence[stream], t_ns, self._source)
-                self._publishers[int(stream)].put(bytes(data[start : start + length]), write_tag(tag))
+                payload = self._convert[int(stream)](data[start : start + length])
+                self._publishers[int(stream)].put(payload, write_tag(tag))
         if since_ns is not None:
             self.latencies_ns.append(time.time_ns() - since_ns)
         return len(messages)
@@ -140,11 +148,17 @@ class Outbox:
         return 0
 
 
-def _stream(output: Output) -> Stream:
+@cache
+def _transcoder(encoding: Encoding, schema_name: str) -> Transcoder:
+    """One for all filters: there may be thousands."""
+    return make_transcoder(encoding, schema_name, definition(schema_name))
+
+
+def _stream(output: Output, transcoder: Transcoder) -> Stream:
     return Stream(
         topic=output.topic,
-        encoding="cdr",
-        schema_name=output.schema_name,
-        schema_encoding="ros2msg",
-        schema_text=output.schema_text,
+        encoding=transcoder.encoding,
+        schema_name=transcoder.schema_name,
+        schema_encoding=transcoder.schema_encoding,
+        schema_text=schema_to_text(transcoder.schema_encoding, transcoder.schema),
     )
