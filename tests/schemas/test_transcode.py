@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from google.protobuf import descriptor_pool, message_factory
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.protobufs import read_protobuf
 
 from fuselog.schemas import (
     CdrEncoder,
@@ -73,27 +73,9 @@ def finite(value: Any) -> Any:
     return value if not isinstance(value, float) or math.isfinite(value) else None
 
 
-def parsed(transcoder: Transcoder, payload: bytes) -> Any:
-    """A message of protobuf, read by what the serialised FileDescriptorSet says and nothing else."""
-    pool = descriptor_pool.DescriptorPool()
-    for file in FileDescriptorSet.FromString(transcoder.schema).file:
-        pool.AddSerializedFile(file.SerializeToString())
-    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(transcoder.schema_name))
-    return kind.FromString(payload)
-
-
-def plain(message: Any) -> dict[str, Any]:
-    """All fields of a message of protobuf, set or not."""
-
-    def one(field: Any, item: Any) -> Any:
-        return plain(item) if field.message_type is not None else item
-
-    return {
-        field.name: [one(field, item) for item in getattr(message, field.name)]
-        if field.is_repeated
-        else one(field, getattr(message, field.name))
-        for field in message.DESCRIPTOR.fields
-    }
+def parsed(transcoder: Transcoder, payload: bytes) -> dict[str, Any]:
+    """A message of protobuf, read by the schema that goes with it."""
+    return read_protobuf(transcoder.schema, transcoder.schema_name, [payload])[0]
 
 
 @settings(max_examples=200, deadline=None)
@@ -140,7 +122,7 @@ def test_protobuf_of_any_message(rng: random.Random, order: str) -> None:
     transcoder = make_transcoder("protobuf", ROOT, schema_text(types))
     for value in values:
         message = parsed(transcoder, transcoder.convert(encode(types, value, order)))
-        assert bits(plain(message)) == bits(full(types, len(types) - 1, value))
+        assert bits(message) == bits(full(types, len(types) - 1, value))
 
 
 @settings(max_examples=60, deadline=None)
@@ -181,7 +163,7 @@ def test_every_definition(name: str) -> None:
     assert stamp_path(**about) == stamp_path(**cdr)
     as_protobuf = make_transcoder("protobuf", name, text)
     assert as_protobuf.schema_name == name.replace("/msg/", ".")
-    assert list(plain(parsed(as_protobuf, b""))) == list(parse_ros2msg(name, text).fields)
+    assert list(parsed(as_protobuf, b"")) == list(parse_ros2msg(name, text).fields)
 
 
 def test_names_and_numbers_of_protobuf() -> None:
@@ -215,7 +197,7 @@ def test_fields_with_names_that_python_and_protobuf_use() -> None:
     payload = b"\0\1\0\0" + struct.pack("<5d", 1, 2, 3, 4, 5)
     transcoder = make_transcoder("protobuf", ROOT, text)
     values = {"self": 1.0, "class": 2.0, "message": 3.0, "a_1": 4.0, "a1": 5.0}
-    assert plain(parsed(transcoder, transcoder.convert(payload))) == values
+    assert parsed(transcoder, transcoder.convert(payload)) == values
 
 
 def test_cdr_stays_as_it_is() -> None:

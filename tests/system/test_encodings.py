@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zenoh
-from google.protobuf import descriptor_pool, message_factory
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from tests.protobufs import read_protobuf
 
 from fuselog.fusion import Stream
 from fuselog.replay import Channel, Log, open_log
@@ -127,27 +126,6 @@ def test_json_live_is_cdr_offline(serve: Serve, small_log: Path, tmp_path: Path)
     assert as_json.texts == as_cdr.texts
 
 
-def messages_of(schema: bytes, name: str, payloads: list[bytes]) -> list[Any]:
-    """Messages of protobuf, read by a FileDescriptorSet and nothing else."""
-    pool = descriptor_pool.DescriptorPool()
-    for file in FileDescriptorSet.FromString(schema).file:
-        pool.AddSerializedFile(file.SerializeToString())
-    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
-    return [kind.FromString(payload) for payload in payloads]
-
-
-def plain(message: Any) -> dict[str, Any]:
-    """All fields of a message of protobuf, set or not."""
-    values: dict[str, Any] = {}
-    for field in message.DESCRIPTOR.fields:
-        item = getattr(message, field.name)
-        if field.is_repeated:
-            values[field.name] = [plain(each) if field.message_type is not None else each for each in item]
-        else:
-            values[field.name] = plain(item) if field.message_type is not None else item
-    return values
-
-
 def test_protobuf_live_is_cdr_offline(serve: Serve, small_log: Path, tmp_path: Path) -> None:
     """Every number of every result, read with nothing but the announced schema."""
     service = serve(configured("protobuf"))
@@ -159,7 +137,7 @@ def test_protobuf_live_is_cdr_offline(serve: Serve, small_log: Path, tmp_path: P
         stream = told[key]
         assert (stream.encoding, stream.schema_name, stream.schema_encoding) == ("protobuf", name, "protobuf")
         schema = schema_to_bytes(name, "protobuf", stream.schema_text)
-        found = [plain(message) for message in messages_of(schema, name, [payload for _, payload in received[key]])]
+        found = read_protobuf(schema, name, [payload for _, payload in received[key]])
         assert bits(found, null=False) == bits(read_cdr(kind, wanted[key]), null=False)
 
 
@@ -207,7 +185,7 @@ def test_recorded(serve: Serve, small_log: Path, tmp_path: Path, encoding: str) 
         else:
             name = kind.replace("/msg/", ".")
             assert (channel.encoding, channel.schema.encoding, channel.schema.name) == ("protobuf", "protobuf", name)
-            found = [plain(message) for message in messages_of(channel.schema.data, name, payloads)]
+            found = read_protobuf(channel.schema.data, name, payloads)
             assert bits(found, null=False) == bits(read_cdr(kind, wanted["fused/odom"]), null=False)
 
 

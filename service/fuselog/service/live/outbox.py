@@ -4,15 +4,15 @@ import queue
 import time
 from collections import deque
 from collections.abc import Callable, Container
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 import zenoh
 
-from fuselog.fusion import Output, Outputs, Plan, Stream
+from fuselog.fusion import Output, Outputs, Plan
 from fuselog.fusion.health import HEALTH
-from fuselog.schemas import Messages, Transcoder, definition, make_transcoder, pack, schema_to_text
-from fuselog.schemas.transcode import Encoding
+from fuselog.schemas import Messages, pack
+from fuselog.service.live.encodings import stream_of, transcoder_of
 from fuselog.service.streams import Announcements
 from fuselog.service.transport import key_of
 from fuselog.service.wire import Tag, media_type, write_tag
@@ -76,7 +76,7 @@ class Outbox:
         self.topics = (*Outputs(plan).topics, Output(f"{plan.config.output.estimate.rstrip('/')}/health", HEALTH))
         self._post, self._told, self._source = post, told, source
         self._sequence = [0] * len(self.topics)
-        transcoders = [_transcoder(plan.config.output.encoding, output.schema_name) for output in self.topics]
+        transcoders = [transcoder_of(plan.config.output.encoding, output.schema_name) for output in self.topics]
         self._convert = [each.convert for each in transcoders]
         media = [media_type(each.encoding, each.schema_name) for each in transcoders]
         self._keys = [key_of(output.topic) for output in self.topics]
@@ -84,7 +84,7 @@ class Outbox:
             Publisher(session, key, kind, cache=plan.config.zenoh.cache)
             for key, kind in zip(self._keys, media, strict=True)
         ]
-        streams = [_stream(*each) for each in zip(self.topics, transcoders, strict=True)]
+        streams = [stream_of(*each) for each in zip(self.topics, transcoders, strict=True)]
         told.add({key: [stream] for key, stream in zip(self._keys, streams, strict=True)})
 
     @property
@@ -146,19 +146,3 @@ class Outbox:
         for publisher in self._publishers:
             publisher.close()
         return 0
-
-
-@cache
-def _transcoder(encoding: Encoding, schema_name: str) -> Transcoder:
-    """One for all filters: there may be thousands."""
-    return make_transcoder(encoding, schema_name, definition(schema_name))
-
-
-def _stream(output: Output, transcoder: Transcoder) -> Stream:
-    return Stream(
-        topic=output.topic,
-        encoding=transcoder.encoding,
-        schema_name=transcoder.schema_name,
-        schema_encoding=transcoder.schema_encoding,
-        schema_text=schema_to_text(transcoder.schema_encoding, transcoder.schema),
-    )
