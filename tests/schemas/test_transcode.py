@@ -200,6 +200,12 @@ def test_fields_with_names_that_python_and_protobuf_use() -> None:
     assert parsed(transcoder, transcoder.convert(payload)) == values
 
 
+def test_a_type_that_protobuf_cannot_have() -> None:
+    text = "".join(f"uint8 f{number}\n" for number in range(20_000))
+    with pytest.raises(SchemaError, match="pk/Root: protobuf cannot have this type"):
+        make_transcoder("protobuf", ROOT, text)
+
+
 def test_cdr_stays_as_it_is() -> None:
     text = definition("fuselog_msgs/msg/Command")
     transcoder = make_transcoder("cdr", "fuselog_msgs/msg/Command", text)

@@ -33,8 +33,9 @@ _TYPES: Final = {
 class ProtobufWriter:
     """Writes messages of one type; ``nav_msgs/Odometry`` is ``nav_msgs.Odometry``, fields are numbered in their order.
 
-    ``name`` is the full name, ``schema`` the serialised FileDescriptorSet with all types that it needs, each in a file
-    of its own after those that it needs. Raises SchemaError where protobuf cannot have such a type.
+    ``name`` is the full name, ``schema`` the serialised FileDescriptorSet: a file for each type, after those of the
+    types that it needs. In the JSON of protobuf, too, fields have their own names. Raises SchemaError where protobuf
+    cannot have such a type.
     """
 
     def __init__(self, root: Record) -> None:

@@ -45,7 +45,7 @@ def describe(session: zenoh.Session, types: Mapping[str, str], key: str, media: 
         bridged = "" if given or encoding else bridged_type(session, key)
         if bridged:
             return _named(f"/{key}", bridged, media)
-    except (zenoh.ZError, SchemaError):  # the session is closing, or the publisher announces no schema
+    except (zenoh.ZError, SchemaError):  # the session is closing, or what is announced is no schema
         pass
     return _unknown(key, encoding, name, media)
 
