@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,9 @@ import zenoh
 from typer.testing import CliRunner
 
 from fuselog.fusion import Outputs, Stream, compile_plan, parse_config
-from fuselog.replay import Channel, RawMessage, is_output, open_log
+from fuselog.replay import Channel, LogWriter, RawMessage, is_output, open_log
 from fuselog.replay.recording import Account, Recording, RecordingStatus, RecordOptions
+from fuselog.replay.reprocess import stream_of
 from fuselog.schemas import Messages, definition, pack
 from fuselog.service.cli import make_app
 from fuselog.service.recording.declared import describe
@@ -156,6 +158,26 @@ def test_what_is_known_of_a_stream(sessions, record):
     assert found["strange"].metadata["type"] == "their_msgs/msg/Thing"
     assert found["raw"].metadata == {"zenoh_encoding": "image/png"}
     token.undeclare()
+
+
+def test_a_schema_that_is_no_text(sessions, record, tmp_path):
+    """A log with protobuf is announced and recorded with its schema; what cannot be one is none."""
+    theirs, _ = sessions
+    name, data = "their.Thing", bytes(range(256))
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        writer.add_channel("/thing", name, "protobuf", data, encoding="protobuf")
+    with open_log(tmp_path / "log.mcap") as log:
+        [channel] = log.channels.values()
+    stream = stream_of(channel)
+    tell(theirs, {"thing": [stream], "broken": [replace(stream, topic="/broken", schema_text="{}")]})
+    recorded = record()
+    for key in ("thing", "broken"):
+        theirs.put(key, key.encode(), encoding=media_type("protobuf", name))
+    recorded.finish(2)
+    found = {message.data.decode(): channel for channel, message in recorded.read()}
+    assert found["thing"].schema == channel.schema
+    assert (found["thing"].encoding, found["broken"].encoding) == ("protobuf", "protobuf")
+    assert found["broken"].schema.name == ""
 
 
 @pytest.mark.parametrize("key", ["imu/data", "0/imu/sensor_msgs::msg::Imu_/RIHS01_1", "0/Imu_/RIHS01_00"])

@@ -22,7 +22,7 @@ from fuselog.replay.log.loss import Loss
 from fuselog.replay.opening import open_log
 from fuselog.replay.smoothing import smoothed, smoothing_plan
 from fuselog.replay.tracks import TrackWriter, is_output
-from fuselog.schemas import Messages
+from fuselog.schemas import Messages, schema_to_text
 
 _UNDER_WAY = 3  # batches of tracks that may wait to be written
 _AHEAD = 2  # batches that may be prepared before the filter takes them
@@ -238,7 +238,7 @@ def stream_of(channel: Channel) -> Stream:
         encoding=channel.encoding,
         schema_name=channel.schema.name,
         schema_encoding=channel.schema.encoding,
-        schema_text=channel.schema.data.decode(errors="replace"),
+        schema_text=schema_to_text(channel.schema.encoding, channel.schema.data),
     )
 
 

@@ -1,11 +1,11 @@
-"""JSON Schema as embedded in logs, into the same tree as ROS 2 definitions."""
+"""JSON Schema as embedded in logs, into the same tree as ROS 2 definitions and out of it."""
 
 from typing import Any, Final, cast
 
 import orjson
 
 from fuselog.schemas.errors import SchemaError
-from fuselog.schemas.tree import Array, Node, Number, Open, Record, Text
+from fuselog.schemas.tree import KINDS, Array, Node, Number, Open, Record, Text
 
 _NUMBERS: Final = {"number": "float64", "integer": "int64", "boolean": "bool"}
 _DEEPEST: Final = 64  # anything goes further down
@@ -27,6 +27,29 @@ def parse_jsonschema(schema_name: str, schema_text: str) -> Record | Open:
     whole = cast(dict[str, Any], document)
     node = _Document(whole).node(whole, schema_name, 0)
     return node if isinstance(node, Record) else Open()
+
+
+def write_jsonschema(schema_name: str, root: Record) -> bytes:
+    """The JSON Schema of messages of this shape; floats may be null, which stands for what JSON cannot write."""
+    return orjson.dumps({"title": schema_name, **_written(root)})
+
+
+_TYPES: Final[dict[int, object]] = {0: "integer", 1: "integer", 2: ["number", "null"], 3: "boolean"}
+
+
+def _written(node: Node) -> dict[str, Any]:
+    match node:
+        case Number(kind):
+            return {"type": _TYPES[KINDS[kind] % 4]}
+        case Text():
+            return {"type": "string"}
+        case Array(element, length):
+            limits = {} if length is None else {"minItems": length, "maxItems": length}
+            return {"type": "array", "items": _written(element), **limits}
+        case Record(_, fields):
+            return {"type": "object", "properties": {name: _written(child) for name, child in fields.items()}}
+        case Open():
+            return {}
 
 
 class _Document:

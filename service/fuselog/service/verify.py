@@ -68,9 +68,11 @@ class Verdict:
 def verify(log: Log, plan: Plan, *, say: Progress = lambda _: None) -> Verdict:
     """Fuse a log offline, in the order received, then play it into a service over TCP as fast as that takes it.
 
-    Nothing is recorded, whatever the configuration says. Raises ``LogError``, ``ConfigError`` and ``TransportError``.
+    Nothing is recorded, and results are published as CDR, whatever the configuration says. Raises ``LogError``,
+    ``ConfigError`` and ``TransportError``.
     """
-    plan = replace(plan, config=plan.config.model_copy(update={"record": None}))
+    as_cdr = plan.config.output.model_copy(update={"encoding": "cdr"})
+    plan = replace(plan, config=plan.config.model_copy(update={"record": None, "output": as_cdr}))
     outputs = Outputs(plan)
     with ExitStack() as stack:
         offline, live = ([stack.enter_context(_Kept(output)) for output in outputs.topics] for _ in range(2))

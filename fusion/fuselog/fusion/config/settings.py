@@ -333,6 +333,9 @@ class OutputSettings(Settings):
     estimate: str = "fused/odom"
     frame: str = "odom"
     child: str = "base_link"
+    encoding: Literal["cdr", "json", "protobuf"] = Field(
+        "cdr", description="of what a live service publishes; recordings and logs hold CDR"
+    )
     rate: Positive | None = Field(None, description="most estimates per second of event time; by default one a sample")
     ticks: Annotated[float, Field(gt=0, le=1000)] | None = Field(
         None, description="Hz: estimates predicted to the multiples of 1/ticks in event time; by default none"

@@ -13,7 +13,7 @@ from fuselog.schemas import Codec, Messages, MessageType, compile_codec, field_p
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stream:
-    """Topic, message encoding (``cdr`` or ``json``), and the schema: its name, encoding and text."""
+    """Topic, message encoding, and the schema: its name, encoding and text (``schema_to_text`` of its data)."""
 
     topic: str
     encoding: str

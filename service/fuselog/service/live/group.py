@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from fuselog.fusion import Plan
 from fuselog.fusion.captures import DEFAULT_ID, Captures, KeyPattern, captured, fill, id_of, patterns_of, plan_of
 from fuselog.fusion.config import Problem
+from fuselog.schemas import missing_extra
 from fuselog.service.transport import TransportError, key_of
 
 
@@ -32,7 +33,8 @@ class Group:
 def make_group(plan: Plan) -> Group:
     """The group of a plan.
 
-    Raises ``ConfigError`` for topics that cannot be keys of Zenoh, and for what several filters would share.
+    Raises ``ConfigError`` for topics that cannot be keys of Zenoh, for what several filters would share, and for an
+    encoding that is not installed.
     """
     places = {("sensors", sensor.name, "topic"): sensor.settings.topic for sensor in plan.sensors}
     patterns = patterns_of(plan)
@@ -49,6 +51,10 @@ def make_group(plan: Plan) -> Group:
         missing = [name for name in names if name not in captured([topic])]
         if missing and captured([topic]):
             problems.append(Problem(place, f"other topics capture {{{missing[0]}}} as well"))
+    extra = missing_extra(plan.config.output.encoding)
+    if extra:
+        reason = f"another package writes it: pip install 'fuselog[{extra}]'"
+        problems.append(Problem(("output", "encoding"), reason))
     if problems:
         raise plan.source.complain(problems)
     return Group(plan, patterns, names)

@@ -10,10 +10,11 @@ from typing import Literal
 import numpy as np
 import zenoh
 
-from fuselog.fusion import Output, Outputs, Plan, Stream
+from fuselog.fusion import Output, Outputs, Plan
 from fuselog.fusion.health import HEALTH
 from fuselog.fusion.outputs import ESTIMATE
 from fuselog.schemas import Messages, pack
+from fuselog.service.live.encodings import stream_of, transcoder_of
 from fuselog.service.streams import Announcements
 from fuselog.service.transport import key_of
 from fuselog.service.wire import Tag, media_type, write_tag
@@ -65,7 +66,10 @@ class Post:
 
 
 class Outbox:
-    """The publishers of one filter. ``offer`` never waits: what does not fit is dropped and counted."""
+    """The publishers of one filter. ``offer`` never waits: what does not fit is dropped and counted.
+
+    What is offered is CDR; ``output.encoding`` is put on as it leaves, on the publishing thread.
+    """
 
     def __init__(self, session: zenoh.Session, post: Post, told: Announcements, plan: Plan, *, source: bytes) -> None:
         self.dropped = 0
@@ -77,13 +81,16 @@ class Outbox:
         self._live = {name: len(outputs) + number for number, name in enumerate(live)}  # what a clock says, and no log
         self._post, self._told, self._source = post, told, source
         self._sequence = [0] * len(self.topics)
-        media = [media_type("cdr", output.schema_name) for output in self.topics]
+        transcoders = [transcoder_of(plan.config.output.encoding, output.schema_name) for output in self.topics]
+        self._convert = [each.convert for each in transcoders]
+        media = [media_type(each.encoding, each.schema_name) for each in transcoders]
         self._keys = [key_of(output.topic) for output in self.topics]
         self._publishers = [
             Publisher(session, key, kind, cache=plan.config.zenoh.cache)
             for key, kind in zip(self._keys, media, strict=True)
         ]
-        told.add({key: [_stream(output)] for key, output in zip(self._keys, self.topics, strict=True)})
+        streams = [stream_of(*each) for each in zip(self.topics, transcoders, strict=True)]
+        told.add({key: [stream] for key, stream in zip(self._keys, streams, strict=True)})
 
     @property
     def wanted(self) -> Container[int]:
@@ -133,7 +140,8 @@ class Outbox:
             if wanted[stream]:
                 self._sequence[stream] += 1
                 tag = Tag(self._sequence[stream], t_ns, self._source)
-                self._publishers[int(stream)].put(bytes(data[start : start + length]), write_tag(tag))
+                payload = self._convert[int(stream)](data[start : start + length])
+                self._publishers[int(stream)].put(payload, write_tag(tag))
         if since_ns is not None:
             self.latencies_ns.append(time.time_ns() - since_ns)
         return len(messages)
@@ -142,13 +150,3 @@ class Outbox:
         for publisher in self._publishers:
             publisher.close()
         return 0
-
-
-def _stream(output: Output) -> Stream:
-    return Stream(
-        topic=output.topic,
-        encoding="cdr",
-        schema_name=output.schema_name,
-        schema_encoding="ros2msg",
-        schema_text=output.schema_text,
-    )

@@ -7,7 +7,7 @@ import zenoh
 
 from fuselog.fusion import Stream
 from fuselog.replay import Schema
-from fuselog.schemas import SchemaError, definition
+from fuselog.schemas import SchemaError, definition, schema_to_bytes
 from fuselog.service.ros_keys import ros_key
 from fuselog.service.streams import announced, bridged_type
 from fuselog.service.wire import message_type
@@ -45,14 +45,14 @@ def describe(session: zenoh.Session, types: Mapping[str, str], key: str, media: 
         bridged = "" if given or encoding else bridged_type(session, key)
         if bridged:
             return _named(f"/{key}", bridged, media)
-    except zenoh.ZError:  # the session is closing
+    except (zenoh.ZError, SchemaError):  # the session is closing, or what is announced is no schema
         pass
     return _unknown(key, encoding, name, media)
 
 
 def _announced(stream: Stream, is_output: bool) -> Declared:
-    text = stream.schema_text.encode()
-    schema = Schema(stream.schema_name, stream.schema_encoding, text)
+    data = schema_to_bytes(stream.schema_name, stream.schema_encoding, stream.schema_text)
+    schema = Schema(stream.schema_name, stream.schema_encoding, data)
     return Declared(stream.topic, schema, stream.encoding, OUTPUT if is_output else {})
 
 
