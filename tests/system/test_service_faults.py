@@ -38,7 +38,7 @@ fleet: {most: 3}
 HOUR = 3600.0
 POSES = "geometry_msgs/msg/PoseWithCovarianceStamped"
 KEYS = 3000
-LARGE = 20_000_000  # bytes
+LARGE = 100_000_000  # bytes
 
 
 def config_of(name: str) -> str:
@@ -224,6 +224,7 @@ def test_payloads_that_are_none(service: Service, session: zenoh.Session) -> Non
     garbage = Random(8).randbytes(300)
     cut = good[5].payload[:-9]
     robot.send([*good[:2], *(good[n]._replace(payload=p) for n, p in ((2, garbage), (3, b""), (4, cut)))])
+    memory, began = resident(service), time.monotonic()
     robot.send([good[5]._replace(payload=bytes(LARGE))])
     session.put("garbage/imu/data", b"text", encoding=media_type("cdr", POSE), attachment=tag(1))
     robot.send([good[5]._replace(number=7)])
@@ -338,13 +339,14 @@ def test_full_disk(tmp_path: Path) -> None:
 
 
 HANGS = """import time
-from fuselog.service.live import fleet, member
+from fuselog.service.live import feeding, fleet
 fleet._STUCK_S = 1.0
-feed = member.Member.feed
-def hang(self, arrivals):
-    feed(self, arrivals)
-    time.sleep(3600)
-member.Member.feed = hang
+feed = feeding.Feeding.feed
+def hang(self, batches):
+    feed(self, batches)
+    if batches:
+        time.sleep(3600)
+feeding.Feeding.feed = hang
 from fuselog.service.cli import main; main()
 """
 
@@ -371,7 +373,7 @@ def test_filters_that_hang(tmp_path: Path) -> None:
         assert process.poll() is None
         again = time.monotonic()
         process.send_signal(signal.SIGTERM)
-        process.wait(10)
+        assert process.wait(10) == 130
         ended_s = time.monotonic() - again
     print(f"not alive after {dead_s:.2f} s; ended {ended_s:.2f} s after the second SIGTERM")
     assert dead_s <= 3

@@ -131,7 +131,7 @@ class Outbox:
                 tag = Tag(self._sequence[stream], t_ns, self._source)
                 self._publishers[int(stream)].put(bytes(data[start : start + length]), write_tag(tag))
         if since_ns is not None:
-            self.latencies_ns.append(time.time_ns() - since_ns)
+            self.latencies_ns.append(time.monotonic_ns() - since_ns)
         return len(messages)
 
     def _undeclare(self) -> int:
