@@ -309,7 +309,7 @@ def test_the_example_on_a_router(pki: Path) -> None:
         Claim(robot, ["fused/odom"]).hold()
         claim = Claim(service, ["fused/odom"], patience_s=0.3)
         claim.hold()
-        with pytest.raises(TransportError, match="another service .* publishes 'fused/odom' already"):
+        with pytest.raises(TransportError, match=r"another service .* publishes 'fused/odom' already"):
             Claim(second, ["fused/odom"], patience_s=0.3)
         claim.end()
         Claim(second, ["fused/odom"], patience_s=0.3).hold()

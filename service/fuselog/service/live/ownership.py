@@ -18,6 +18,7 @@ _LEAVING_S = 2.0  # for one that has just ended to be forgotten by the router, o
 _SETTLE_S = 0.2  # for a claim to be known everywhere
 _AGAIN_S = 0.1
 _NO_PART = re.compile(r"[^a-zA-Z0-9_./-]")
+_NAME = re.compile(r"[0-9a-f]+:(?P<process>\d+):(?P<host>[^:]+)")
 
 
 class Claim:
@@ -86,8 +87,6 @@ class Claim:
 
 def _taken(others: dict[str, list[str]]) -> TransportError:
     name = min(others)
-    _, process, host = name.split(":", 2)
-    topics = ", ".join(map(repr, others[name]))
-    return TransportError(
-        f"another service (process {process} on {host}) publishes {topics} already (output: estimate)"
-    )
+    said = _NAME.fullmatch(name)
+    who = f"another service (process {said['process']} on {said['host']})" if said else "another service"
+    return TransportError(f"{who} publishes {', '.join(map(repr, others[name]))} already (output: estimate)")
