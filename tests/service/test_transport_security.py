@@ -5,6 +5,7 @@ import socket
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ import zenoh
 from fuselog.fusion import Stream
 from fuselog.fusion.config import load_config
 from fuselog.schemas import ConfigError
+from fuselog.service.live.ownership import Claim
 from fuselog.service.streams import learn, tell
 from fuselog.service.transport import TransportError, open_session, service_endpoints, visitor_endpoints
 from fuselog.service.zenoh_door import Publisher, subscribe, subscribe_reliably
@@ -31,6 +33,7 @@ def pki(tmp_path_factory: pytest.TempPathFactory) -> Path:
     theirs.cert_pem.write_to_path(folder / "other-ca.pem")
     issued = {
         "service": ours.issue_cert("127.0.0.1", common_name="service"),
+        "router": ours.issue_cert("127.0.0.1", common_name="router"),
         "robot1": ours.issue_cert("robot1.example", common_name="robot1"),
         "viewer": ours.issue_cert("viewer.example", common_name="viewer"),
         "robot2": ours.issue_cert("robot2.example", common_name="robot2"),
@@ -278,6 +281,49 @@ def test_the_example_of_access_control(pki: Path) -> None:
             service.put(results, b"estimate")
             service.put(imu, b"not for viewers")
             time.sleep(0.3)
+        end()
+    assert got == [b"early", b"later"]
+    assert seen == [b"estimate"]
+
+
+def test_the_example_on_a_router(pki: Path) -> None:
+    """Services behind a router with these rules get what a robot sends, and one estimate has one service.
+
+    A robot cannot claim an estimate.
+    """
+    rules = Path(__file__).parents[2] / "examples" / "zenoh_access.json5"
+    at, got, seen = endpoint(), list[bytes](), list[bytes]()
+    where = service_endpoints(*configured(pki, f"{{listen: [{at}], {tls('router')}, access: {rules}}}"))
+
+    def client(name: str) -> zenoh.Session:
+        settings = f"{{mode: client, connect: [{at}], {tls(name)}}}"
+        return open_session(service_endpoints(*configured(pki, settings)), timeout_s=5)
+
+    with (
+        open_session(replace(where, mode="router"), timeout_s=5),
+        client("service") as service,
+        client("service") as second,
+        client("robot1") as robot,
+        client("viewer") as viewer,
+    ):
+        Claim(robot, ["fused/odom"]).hold()
+        claim = Claim(service, ["fused/odom"], patience_s=0.3)
+        claim.hold()
+        with pytest.raises(TransportError, match=r"another service .* publishes 'fused/odom' already"):
+            Claim(second, ["fused/odom"], patience_s=0.3)
+        claim.end()
+        Claim(second, ["fused/odom"], patience_s=0.3).hold()
+        publisher = Publisher(robot, "fleet/robot1/imu", "application/cdr", cache=10)
+        publisher.put(b"early", b"")
+        time.sleep(0.3)  # until the router knows
+        end = subscribe_reliably(service, "fleet/robot1/imu", lambda s: got.append(s.payload.to_bytes()), missed=print)
+        subscribe(viewer, "fused/odom", lambda s: seen.append(s.payload.to_bytes()))
+        time.sleep(0.3)
+        publisher.put(b"later", b"")
+        viewer.put("fleet/robot1/imu", b"forged")
+        robot.put("fused/odom", b"forged")
+        service.put("fused/odom", b"estimate")
+        time.sleep(0.3)
         end()
     assert got == [b"early", b"later"]
     assert seen == [b"estimate"]

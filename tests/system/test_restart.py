@@ -141,9 +141,9 @@ def test_two_services_of_one_estimate(restarted: Restarted, tmp_path: Path, rout
     where = live_config(tmp_path, text)
     refused = run("serve", where[0])
     assert refused.returncode == 1
-    assert refused.stderr.splitlines()[-1] == (
-        "error: another service publishes 'fused/odom' already (output: estimate)"
-    )
+    said = refused.stderr.splitlines()[-1]
+    assert said.startswith(f"error: another service (process {first.process.pid} on ")
+    assert said.endswith(") publishes 'fused/odom' already (output: estimate)")
     assert origin(first) == "it began anew"
     first.process.kill()
     second = start(*where)

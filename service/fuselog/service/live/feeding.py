@@ -29,4 +29,4 @@ class Feeding:
                     self._together[shape] = Together(filters[0].plan)
                 tracks = self._together[shape].feed(filters, messages, spans)
             for member, track in zip(members, tracks, strict=True):
-                member.give(track, since_ns=batches[member][0].arrival_ns)
+                member.give(track, since_ns=batches[member][0].since_ns)

@@ -22,7 +22,7 @@ from fuselog.service.live.group import Group, make_group
 from fuselog.service.live.inbox import Inbox
 from fuselog.service.live.member import Member, Snapshot
 from fuselog.service.live.outbox import Outbox, Post
-from fuselog.service.live.ownership import own
+from fuselog.service.live.ownership import Claim
 from fuselog.service.live.runner import Runner, Unknown
 from fuselog.service.live.sources import Progress
 from fuselog.service.live.warm import warm_up
@@ -57,10 +57,11 @@ class Fleet:
         ended: Callable[[], None],
         snapshot: threading.Event | None = None,
     ) -> None:
+        self._claim = Claim(session, [group.plan.config.output.estimate for group in groups])
         for group in groups:
             warm_up(group.plan)
+        self._claim.hold()
         self.session, self._groups = session, groups
-        self._disown = own(session, [group.plan.config.output.estimate for group in groups])
         self._post, self._told = Post(), Announcements(session, outputs=True)
         self._source = secrets.token_bytes(16)
         self._saved_at: dict[Group, float] = {}
@@ -149,8 +150,7 @@ class Fleet:
             self._save(group, id, data)
         self._post.finish()
         self._publishing.join(_PUBLISH_S)
-        for disown in self._disown:
-            disown()
+        self._claim.end()
         for recorder in self._recorders.values():
             recorder.finish()
         for worker in (self._fusing, self._publishing):

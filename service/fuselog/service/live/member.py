@@ -105,7 +105,7 @@ class Member:
         return slice(first, len(batch))
 
     def give(self, track: Track, *, since_ns: int | None = None) -> None:
-        """Give away what the filter made of samples of which the oldest arrived then."""
+        """Give away what the filter made of samples of which the oldest arrived then (monotonic)."""
         self._seen.append(seen(track))
         encoded = self._outputs.encode(track, self.filter.beside(), wanted=self.outbox.wanted)
         self.outbox.offer(encoded, since_ns=since_ns)

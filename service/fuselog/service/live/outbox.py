@@ -143,7 +143,7 @@ class Outbox:
                 payload = self._convert[int(stream)](data[start : start + length])
                 self._publishers[int(stream)].put(payload, write_tag(tag))
         if since_ns is not None:
-            self.latencies_ns.append(time.time_ns() - since_ns)
+            self.latencies_ns.append(time.monotonic_ns() - since_ns)
         return len(messages)
 
     def _undeclare(self) -> int:

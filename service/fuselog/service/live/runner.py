@@ -150,14 +150,14 @@ class Runner:
                 self._feed(batches)
                 item.do()
                 continue
-            subscription, sample, arrival_ns = item
+            subscription, sample, arrival_ns, since_ns = item
             route = subscription, str(sample.key_expr)
             targets = self._routes.get(route) or self._find(*route)
             for member, key in targets:
                 samples = batches.get(member)
                 if samples is None:
                     samples = batches[member] = []
-                samples.append(Numbered(key, sample, arrival_ns))
+                samples.append(Numbered(key, sample, arrival_ns, since_ns))
         self._feed(batches)
 
     def _feed(self, batches: dict[Member, list[Numbered]]) -> None:

@@ -17,11 +17,12 @@ Identify = Callable[[str, str], int | str]
 
 
 class Numbered(NamedTuple):
-    """A sample, the number of its key, and when it came (ns)."""
+    """A sample, the number of its key, and when it came: by the clock, and monotonic (ns)."""
 
     key: int
     sample: zenoh.Sample
     arrival_ns: int
+    since_ns: int
 
 
 class Progress(NamedTuple):
@@ -89,10 +90,10 @@ class Sources:
 
     def collect(self, arrivals: Sequence[Numbered], batch: "Batch") -> None:
         """Put the samples that can be used into a batch, in the order in which they came."""
-        for key, sample, arrival_ns in arrivals:
+        for key, sample, arrival_ns, since_ns in arrivals:
             attachment = sample.attachment
             tag = UNTAGGED if attachment is None else read_tag(attachment.to_bytes())
-            source = self._source(key, str(sample.encoding), tag, arrival_ns)
+            source = self._source(key, str(sample.encoding), tag, since_ns)
             if source.stream is None:
                 self.unknown[key] += 1
                 continue

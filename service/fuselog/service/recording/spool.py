@@ -1,15 +1,16 @@
 """Where what is to be recorded waits for the disk: bounded, and never waited for by those who put something in."""
 
 import threading
-import time
 from typing import Generic, NamedTuple, TypeVar
+
+from fuselog.service.clock import never_back
 
 _T = TypeVar("_T")
 _ITEM_BYTES = 600  # of the objects around a payload
 
 
 class Arrived(NamedTuple, Generic[_T]):
-    """An item, and when it came (ns)."""
+    """An item, and when it came (ns): never before the one before."""
 
     item: _T
     arrival_ns: int
@@ -25,6 +26,7 @@ class Spool(Generic[_T]):
         self._waiting: list[Arrived[_T]] = []
         self._bytes = 0
         self._asleep = False
+        self._now_ns = never_back()
 
     def put(self, item: _T, size: int) -> bool:
         """Take in an item of ``size`` bytes -> whether there was room."""
@@ -32,7 +34,7 @@ class Spool(Generic[_T]):
         with self._lock:
             if self._bytes + size > self._capacity_bytes:
                 return False
-            self._waiting.append(Arrived(item, time.time_ns()))
+            self._waiting.append(Arrived(item, self._now_ns()))
             self._bytes += size
             if self._asleep:
                 self._arrived.notify()
