@@ -81,8 +81,9 @@ class Filter:
 
     @property
     def alone(self) -> bool:
-        """Whether nothing goes along with its engine."""
-        return self._ticks is None and self._shadow is None and self._settled is None and self._smoother is None
+        """Whether its engine takes events as they come, and nothing goes along with it."""
+        followers = (self._ticks, self._shadow, self._settled, self._smoother)
+        return self.order == "as_received" and all(each is None for each in followers)
 
     @property
     def intake(self) -> Intake:

@@ -55,8 +55,7 @@ def add_players(app: FastAPI, served: Served, waiting: Waiting) -> None:
     @app.get("/api/v1/players", tags=["players"], operation_id="players", response_model=PlayersAnswer)
     async def players() -> Response:  # pyright: ignore[reportUnusedFunction]  registered by its decorator
         """All players in the network of the service."""
-        found = await waiting.run(served.players, within_s=_WITHIN_S)
-        return answer({"players": [_status(each) for each in found]})
+        return answer({"players": await waiting.run(served.players, within_s=_WITHIN_S)})
 
     @app.post(
         "/api/v1/players/{name}/{command}",
@@ -77,8 +76,4 @@ def add_players(app: FastAPI, served: Served, waiting: Waiting) -> None:
             raise Refused(404, f"no player {name!r} answers") from None
         except CommandError as error:
             raise Refused(409, str(error)) from None
-        return answer(_status(status))
-
-
-def _status(told: dict[str, object]) -> dict[str, object]:
-    return {name: told[name] for name in PlayerAnswer.model_fields}
+        return answer(status)
