@@ -114,12 +114,14 @@ class Runner:
 
     def run(self) -> None:
         """Turn after turn until ``stop``."""
-        tidied = 0.0
+        tidied = heard = 0.0
         while True:
             stopping = self._stopping
             wait_s = _QUIET_S if self._stale or stopping else _WATCH_EVERY_S
             arrivals = self.inbox.take(min(wait_s, max(self._predict_from - time.monotonic(), 0)))
             self.heartbeat = begun = time.monotonic()
+            if arrivals:
+                heard = begun
             self._turn(arrivals)
             self._predict()
             self._flush()
@@ -127,7 +129,7 @@ class Runner:
             if now - tidied > _WATCH_EVERY_S:
                 self._expire(now)
                 tidied = now
-            self._attend(now, quiet=not arrivals)
+            self._attend(now, quiet=begun - heard >= _QUIET_S)
             self._flush()
             if stopping and not arrivals:
                 break
@@ -173,6 +175,8 @@ class Runner:
             return self._refuse(key, "no filter can have this name")
         if not pattern.names:
             targets = [(m, m.keys.index(key)) for m in self._members.values() if m.group is group]
+            if targets:
+                self._routes[subscription, key] = targets
             return targets or self._refuse(key, "there is no filter yet that it belongs to")
         identity = (group, captures)
         if identity not in self._ids:
