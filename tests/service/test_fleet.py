@@ -64,7 +64,9 @@ class Robots:
             stamp = T0 + number * 100_000_000
             payload = ENCODER.encode(np.array([stamp]), np.array([[number / 10, 0.0]]))[0].tobytes()
             tag = write_tag(Tag(number + 1, stamp, SOURCE))
-            self.session.put(f"fleet/{robot}/gps", payload, encoding=MEDIA, attachment=tag)
+            wait = zenoh.CongestionControl.BLOCK  # by default a sender drops what does not go out at once
+            key = f"fleet/{robot}/gps"
+            self.session.put(key, payload, encoding=MEDIA, attachment=tag, congestion_control=wait)
 
     def received(self, id: str) -> int:
         """Samples of a filter."""

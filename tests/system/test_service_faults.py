@@ -37,6 +37,7 @@ fleet: {most: 3}
 """
 HOUR = 3600.0
 POSES = "geometry_msgs/msg/PoseWithCovarianceStamped"
+WAIT = zenoh.CongestionControl.BLOCK  # by default a sender drops what does not go out at once
 KEYS = 3000
 LARGE = 100_000_000  # bytes
 
@@ -260,7 +261,7 @@ def test_keys_without_end(service: Service, session: zenoh.Session) -> None:
     assert until(lambda: publisher.wanted, bool)
     memory = resident(service)
     for number in range(KEYS):
-        session.put(f"fleet/r{number}/gps", pose, encoding=media, attachment=tag(1))
+        session.put(f"fleet/r{number}/gps", pose, encoding=media, attachment=tag(1), congestion_control=WAIT)
     unknown = until(lambda: service.get("/api/v1/unknown"), lambda seen: seen["samples"] >= KEYS - 3, within_s=20)
     assert unknown["samples"] == KEYS - 3
     assert len(unknown["keys"]) == 1000
