@@ -7,7 +7,8 @@ import numpy as np
 import zenoh
 
 from fuselog.schemas import Messages
-from fuselog.service.live.sources import Batch, Numbered, Progress, Sources
+from fuselog.service.batch import Batch
+from fuselog.service.live.sources import Numbered, Progress, Sources
 from fuselog.service.wire import Tag, write_tag
 
 A, B = b"a" * 16, b"b" * 16

@@ -11,7 +11,7 @@ from numba.core.dispatcher import Dispatcher
 from fuselog.fusion import Filter, Outputs, Stream, compile_plan, parse_config
 from fuselog.fusion.health import assess, no_samples, remember, seen
 from fuselog.schemas import CdrEncoder, definition
-from fuselog.service.live.sources import Batch
+from fuselog.service.batch import Batch
 from fuselog.service.live.warm import warm_up
 
 def signatures():
@@ -35,7 +35,7 @@ payloads = [encoder.encode(np.array([t]), np.ones((1, 1)))[0].tobytes() for t in
 filter = Filter(plan, order="as_received")
 filter.intake.open(0, Stream(topic="odom", encoding="cdr", schema_name=kind, schema_encoding="ros2msg",
                              schema_text=definition(kind)))
-track = filter.feed(Batch([(0, t, 1 + k) for k, t in enumerate(times)], payloads).messages())
+track = filter.feed(Batch([(0, t, t, 1 + k) for k, t in enumerate(times)], payloads).messages())
 beside = filter.beside()
 Outputs(plan).encode(track, beside)
 recent = remember(no_samples(plan), [seen(track)])

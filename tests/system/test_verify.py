@@ -21,7 +21,7 @@ outbox.Publisher = Loses
 _FLIPS = """
 from dataclasses import replace
 import numpy as np
-from fuselog.service.live.sources import Batch
+from fuselog.service.batch import Batch
 whole, done = Batch.messages, []
 def flip(self):
     messages = whole(self)

@@ -3,8 +3,9 @@
 from collections.abc import Hashable, Mapping, Sequence
 
 from fuselog.fusion.together import MOST, Together
+from fuselog.service.batch import Batch
 from fuselog.service.live.member import Member
-from fuselog.service.live.sources import Batch, Numbered
+from fuselog.service.live.sources import Numbered
 
 
 class Feeding:

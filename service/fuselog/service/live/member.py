@@ -30,9 +30,10 @@ from fuselog.fusion.sealed import CheckpointError, seal, unseal
 from fuselog.fusion.together import shape_of
 from fuselog.replay.recording import RecordingStatus
 from fuselog.schemas import FuselogError
+from fuselog.service.batch import Batch
 from fuselog.service.live.group import Group
 from fuselog.service.live.outbox import Outbox
-from fuselog.service.live.sources import Batch, Numbered, Progress, Sources
+from fuselog.service.live.sources import Numbered, Progress, Sources
 from fuselog.service.streams import Learn, Streams, stream_types
 
 _MOST_CHANGES = 1000

@@ -1,13 +1,12 @@
 """Samples as they came into batches of messages, with an account of each publisher's numbering."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numpy as np
 import zenoh
 
-from fuselog.schemas import Messages, pack
+from fuselog.service.batch import Batch
 from fuselog.service.wire import UNTAGGED, Tag, read_tag
 
 _MOST_SOURCES = 4096
@@ -34,31 +33,6 @@ class Progress(NamedTuple):
     received: int
     missed: int
     repeated: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Batch:
-    """Samples of one filter after those of another."""
-
-    rows: list[tuple[int, int, int]] = field(default_factory=list[tuple[int, int, int]])  # stream, time, number
-    payloads: list[bytes] = field(default_factory=list[bytes])
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def messages(self) -> Messages:
-        """All of it."""
-        table = np.array(self.rows, np.int64).reshape(-1, 3)
-        data, start, length = pack(self.payloads)
-        return Messages(
-            stream=table[:, 0].astype(np.int32),
-            data=data,
-            start=start,
-            length=length,
-            log_time=table[:, 1].copy(),
-            publish_time=table[:, 1].copy(),
-            sequence=table[:, 2].copy(),
-        )
 
 
 @dataclass(slots=True)
@@ -88,7 +62,7 @@ class Sources:
         self._identify = identify
         self._sources: dict[tuple[int, str, bytes], _Source] = {}
 
-    def collect(self, arrivals: Sequence[Numbered], batch: "Batch") -> None:
+    def collect(self, arrivals: Sequence[Numbered], batch: Batch) -> None:
         """Put the samples that can be used into a batch, in the order in which they came."""
         for key, sample, arrival_ns, since_ns in arrivals:
             attachment = sample.attachment
@@ -101,7 +75,8 @@ class Sources:
                 source.repeated += 1
                 continue
             source.floor = 0
-            batch.rows.append((source.stream, tag.t_ns if tag.t_ns > 0 else arrival_ns, max(tag.sequence, 0)))
+            t_ns = tag.t_ns if tag.t_ns > 0 else arrival_ns
+            batch.rows.append((source.stream, t_ns, t_ns, max(tag.sequence, 0)))
             batch.payloads.append(sample.payload.to_bytes())
 
     def save(self) -> list[list[Any]]:

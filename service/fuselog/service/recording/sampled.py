@@ -5,11 +5,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
 import zenoh
 
 from fuselog.replay.recording import Recording
-from fuselog.schemas import Messages, pack
+from fuselog.schemas import Messages
+from fuselog.service.batch import Batch
 from fuselog.service.live.sources import Progress
 from fuselog.service.recording.declared import Declared
 from fuselog.service.recording.selection import Selection
@@ -64,8 +64,7 @@ class SampledStreams:
 
     def messages(self, arrived: Sequence[Arrived[Sampled]]) -> Messages:
         """The samples that are recorded, with the time of arrival as log time."""
-        rows: list[tuple[int, int, int, int]] = []
-        payloads: list[bytes] = []
+        batch = Batch()
         for (subscription, sample), arrival_ns in arrived:
             key = str(sample.key_expr)
             stream = self._stream(subscription, key, str(sample.encoding))
@@ -78,9 +77,9 @@ class SampledStreams:
                 self._recording.drop(stream.topic, "limit")
                 continue
             published = tag.t_ns if tag.t_ns > 0 else sent_ns(sample) or arrival_ns
-            rows.append((stream.channel, arrival_ns, published, max(tag.sequence, 0)))
-            payloads.append(sample.payload.to_bytes())
-        return _messages(rows, payloads)
+            batch.rows.append((stream.channel, arrival_ns, published, max(tag.sequence, 0)))
+            batch.payloads.append(sample.payload.to_bytes())
+        return batch.messages()
 
     def drop(self, subscription: int, key: str, count: int) -> None:
         """Account for samples for which there was no room, if they were to be recorded."""
@@ -148,17 +147,3 @@ class SampledStreams:
             publisher.missed += gap
             self._recording.miss(topic, gap)
         publisher.last = max(publisher.last, tag.sequence)
-
-
-def _messages(rows: Sequence[tuple[int, int, int, int]], payloads: Sequence[bytes]) -> Messages:
-    table = np.array(rows, np.int64).reshape(-1, 4)
-    data, start, length = pack(payloads)
-    return Messages(
-        stream=table[:, 0].astype(np.int32),
-        data=data,
-        start=start,
-        length=length,
-        log_time=table[:, 1].copy(),
-        publish_time=table[:, 2].copy(),
-        sequence=table[:, 3].copy(),
-    )
