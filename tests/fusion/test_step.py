@@ -235,3 +235,18 @@ def test_a_measurement_far_better_than_the_prior(prior_sd: float, sensor: str) -
         assert np.diag(P)[measured] == pytest.approx([variances] * 2, rel=1e-4)
         assert np.array_equal(P, P.T)
         assert np.linalg.eigvalsh(P / np.sqrt(np.outer(np.diag(P), np.diag(P)))).min() > 0
+
+
+def test_covariance_fades_to_zero() -> None:
+    """What couples two axes no more fades by a factor with each sample: to 0, not to denormal numbers."""
+    plan = setup("constant_velocity")
+    start, states = truth("constant_velocity", 0.0), MOTIONS["constant_velocity"].names
+    coupled = np.array([[0.04, 0.03], [0.03, 0.04]])
+    lidar = [start[states.index(name)] for name in MEASURED["constant_velocity"]["lidar"]]
+    at = 1_000_000_000 + 20_000_000 * np.arange(6000)
+    samples = [Sample(int(t), "lidar", lidar, coupled if n == 0 else 0.04) for n, t in enumerate(at)]
+    track = Engine(plan).advance(events_of(plan, samples))
+    between = np.array([unpack(row, len(states))[0, 1] for row in track.P])
+    assert between[0] > 1e-4
+    assert between[-1] == 0.0
+    assert not np.any((track.P != 0.0) & (abs(track.P) < 1e-200))

@@ -2,6 +2,7 @@
 
 import functools
 import http.server
+import json
 import subprocess
 import sys
 import threading
@@ -47,6 +48,7 @@ class Handler(http.server.BaseHTTPRequestHandler):
         self.send_response(status)
         self.send_header("Content-Length", str(len(content)))
         self.send_header("ETag", self.files.tag)
+        self.send_header("Last-Modified", "Sun, 01 Nov 2026 08:00:00 GMT")
         if place:
             self.send_header("Content-Range", place)
         self.end_headers()
@@ -219,6 +221,33 @@ def test_s3_gives_the_same(bucket: Callable[[str, bytes], str], make_log: Callab
         assert log.time_range == (0, 19_099)
     with pytest.raises(LogError, match=r"absent\.mcap"):
         open_log("s3://robots/absent.mcap")
+
+
+def test_google_cloud_storage_gives_the_same(
+    server: Server, make_log: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the credentials that object stores of this kind have for tests: another address, and no signature."""
+    account = {
+        "gcs_base_url": f"http://127.0.0.1:{server.http.server_port}",
+        "disable_oauth": True,
+        "client_email": "",
+        "private_key": "",
+        "private_key_id": "",
+    }
+    (tmp_path / "account.json").write_text(json.dumps(account))
+    monkeypatch.setenv("GOOGLE_SERVICE_ACCOUNT", str(tmp_path / "account.json"))
+    monkeypatch.setenv("GOOGLE_ALLOW_HTTP", "true")
+    place = tmp_path / "robots" / "2026" / "run 1"
+    place.mkdir(parents=True)
+    make_log(CHUNKS).rename(place / "log.mcap")
+    with open_log("gs://robots/2026/run 1/log.mcap") as log:
+        assert [tuple(m) for m in log.messages("/b", start_ns=5000, end_ns=8000)] == [
+            row for row in ROWS if 5000 <= row[0] < 8000 and row[2] == 2
+        ]
+        assert fetched(server) < (place / "log.mcap").stat().st_size // 2
+        assert [tuple(m) for m in log.messages()] == ROWS
+    with pytest.raises(LogError, match=r"gs://robots/absent\.mcap"):
+        open_log("gs://robots/absent.mcap")
 
 
 def test_without_the_extra_the_error_says_what_to_install() -> None:

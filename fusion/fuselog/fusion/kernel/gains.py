@@ -18,7 +18,7 @@ from fuselog.fusion.kernel.layout import (
     G,
 )
 from fuselog.fusion.kernel.moments import gather, marks_at, missing
-from fuselog.fusion.kernel.rows import row_copy, row_scale, row_take
+from fuselog.fusion.kernel.rows import row_scale, row_take
 from fuselog.fusion.kernel.tables import History, Tables, Work
 from fuselog.schemas.compiled import inline
 
@@ -155,12 +155,9 @@ def toward(tables: Tables, at: int, sensor: int, how: int, target: int) -> float
 @inline
 def solve(work: Work, m: int) -> None:
     """G' = S^-1 H P by the factor L of S (Bezmen 2019, eq. 27), over L^-1 H P."""
-    w, L = work.rows, work.L
+    w, L, last = work.rows, work.L, m - 1
     for a in range(m):
-        row_copy(w, WHITE + a * LD, w, HP + a * LD, LD)
-        row_take(w, WHITE + a * LD, w, WHITE, L, a * m, 1, a, LD)
-        row_scale(w, WHITE + a * LD, w, WHITE + a * LD, L[a * m + a], LD)
-    for a in range(m - 1, -1, -1):
-        row_copy(w, G + a * LD, w, WHITE + a * LD, LD)
-        row_take(w, G + a * LD, w, G + (a + 1) * LD, L, (a + 1) * m + a, m, m - 1 - a, LD)
-        row_scale(w, G + a * LD, w, G + a * LD, L[a * m + a], LD)
+        row_take(w, WHITE + a * LD, w, HP + a * LD, w, WHITE, LD, L, a * m, 1, a, L[a * m + a], LD)
+    for a in range(last, -1, -1):
+        of, to, behind = L[a * m + a], G + a * LD, last - a
+        row_take(w, to, w, WHITE + a * LD, w, G + last * LD, -LD, L, last * m + a, -m, behind, of, LD)

@@ -21,6 +21,7 @@ Floats = Any  # a pointer to float64
 _BYTES = 8  # of a float64
 _BLOCK = 4  # rows and columns that are transposed at a time
 _NARROW = 8  # lanes up to which four rows fit the registers of every processor
+_LEAST = 2.0**-400  # what is left of a sum below it is 0: a product of two more is no denormal number; those take long
 
 
 def _row(builder: Any, pointer: Any, offset: Any, width: int) -> Any:
@@ -39,6 +40,15 @@ def _spread(builder: Any, value: Any, width: int) -> Any:
 
 def _load(builder: Any, place: Any) -> Any:
     return builder.load(place, align=_BYTES)
+
+
+def _flush(builder: Any, row: Any) -> Any:
+    """The vector with 0 in place of numbers nearer to it than ``_LEAST``; NaN stays."""
+    bits = ir.VectorType(ir.IntType(64), row.type.count)
+    unsigned = builder.and_(builder.bitcast(row, bits), ir.Constant(bits, [2**63 - 1] * row.type.count))
+    size = builder.bitcast(unsigned, row.type)
+    keeps = builder.fcmp_unordered(">=", size, ir.Constant(row.type, [_LEAST] * row.type.count))
+    return builder.select(keeps, row, ir.Constant(row.type, [0.0] * row.type.count))
 
 
 def _unpack(builder: Any, values: Any) -> list[Any]:
@@ -113,34 +123,34 @@ def _row_sum(typing, to, at, source, starts, factors, width):  # noqa: ARG001  n
     return (signature, emit) if _fixed(width) else None
 
 
-def _row_take(typing, to, at, source, start, factors, first, stride, count, width):  # noqa: ARG001  numba reads this signature
-    """to[at : at + width] -= sum over c < count of factors[first + c * stride] * row c from ``start`` of source."""
+def _row_take(typing, to, at, base, place, source, start, step, factors, first, stride, count, scale, width):  # noqa: ARG001  numba reads this signature
+    """to[at:] = scale * (base[place:] - sum over c < count of factors[first + c stride] * source[start + c step :]).
+
+    What was made last should come last, or all else would wait for it.
+    """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
-        to, at, source, start, factors, first, stride, count, _ = arguments
+        to, at, base, place, source, start, step, factors, first, stride, count, scale, _ = arguments
         lanes = width.literal_value
-        target = _row(builder, to, at, lanes)
-        total = cgutils.alloca_once_value(builder, _load(builder, target))
+        total = cgutils.alloca_once_value(builder, _load(builder, _row(builder, base, place, lanes)))
         with cgutils.for_range(builder, count) as loop:
-            row = _load(
-                builder,
-                _row(builder, source, builder.add(start, builder.mul(loop.index, at.type(lanes))), lanes),
-            )
+            row = _load(builder, _row(builder, source, builder.add(start, builder.mul(loop.index, step)), lanes))
             factor = _load(builder, builder.gep(factors, [builder.add(first, builder.mul(loop.index, stride))]))
             scaled = builder.fmul(_spread(builder, factor, lanes), row)
             builder.store(builder.fsub(builder.load(total), scaled), total)
-        builder.store(builder.load(total), target, align=_BYTES)
+        scaled = builder.fmul(_spread(builder, scale, lanes), builder.load(total))
+        builder.store(scaled, _row(builder, to, at, lanes), align=_BYTES)
         return context.get_dummy_value()
 
-    places = [types.intp] * 4
-    signature = types.void(to, types.intp, source, types.intp, factors, *places[1:], width)
+    one, two, three = ([types.intp] * count for count in (1, 2, 3))
+    signature = types.void(to, *one, base, *one, source, *two, factors, *three, types.float64, width)
     return (signature, emit) if _fixed(width) else None
 
 
 def _take_outer(typing, to, at, left, a, right, b, count, height, width, upper):  # noqa: ARG001  numba reads this signature
     """Row i < height of the matrix ``to`` -= sum over c < count of left[a + c width + i] * row c from ``b`` of right.
 
-    ``upper``: only from the block of the diagonal on; what is left of it keeps what it had.
+    ``upper``: only from the block of the diagonal on; what is left of it keeps what it had. Less than ``_LEAST`` is 0.
     """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
@@ -160,7 +170,7 @@ def _take_outer(typing, to, at, left, a, right, b, count, height, width, upper):
                     scaled = builder.fmul(_spread(builder, factor, lanes), row)
                     builder.store(builder.fsub(builder.load(total), scaled), total)
             for target, total in zip(targets, totals, strict=True):
-                builder.store(builder.load(total), target, align=_BYTES)
+                builder.store(_flush(builder, builder.load(total)), target, align=_BYTES)
         return context.get_dummy_value()
 
     signature = types.void(to, types.intp, left, types.intp, right, types.intp, types.intp, height, width, upper)
@@ -282,18 +292,22 @@ class Mirror(Protocol):
 
 
 class Take(Protocol):
-    """Subtract ``count`` rows of ``source``, each with its own factor."""
+    """Subtract ``count`` rows of ``source``, each with its own factor, from a row, and scale what is left."""
 
     def __call__(
         self,
         to: Floats,
         at: int,
+        base: Floats,
+        place: int,
         source: Floats,
         start: int,
+        step: int,
         factors: Floats,
         first: int,
         stride: int,
         count: int,
+        scale: float,
         width: int,
     ) -> None:
         """``width`` is a constant."""

@@ -91,8 +91,7 @@ def keep(tables: Tables, history: History, work: Work, trail: Trail, k: int) -> 
         clear_row(H, at)
         for j in range(w.hn[a]):
             H[at + w.hi[a * WIDTH + j]] = w.hv[a * WIDTH + j]
-        row_take(H, at, H, first, w.L, a * m, 1, a, LD)
-        row_scale(H, at, H, at, w.L[a * m + a], LD)
+        row_take(H, at, H, at, H, first, LD, w.L, a * m, 1, a, w.L[a * m + a], LD)
 
 
 @inline
@@ -169,13 +168,13 @@ def before_update(tables: Tables, trail: Trail, k: int) -> None:
             share -= V[first + a * LD + i] * A[LAMBDA + i]
         w[SHARE + a] = share
         clear_row(w, PROJECTED + a * LD)
-        row_take(w, PROJECTED + a * LD, A, 0, V, first + a * LD, 1, N, LD)
+        row_take(w, PROJECTED + a * LD, w, PROJECTED + a * LD, A, 0, LD, V, first + a * LD, 1, N, 1.0, LD)
     if m > 0:
-        row_take(A, LAMBDA, H, first, w, SHARE, 1, m, LD)
+        row_take(A, LAMBDA, A, LAMBDA, H, first, LD, w, SHARE, 1, m, 1.0, LD)
         take_outer(A, 0, w, PROJECTED, H, first, m, N, LD, False)
         for a in range(m):
             row_scale(w, PROJECTED + a * LD, H, first + a * LD, -1.0, LD)
-            row_take(w, PROJECTED + a * LD, A, 0, V, first + a * LD, 1, N, LD)
+            row_take(w, PROJECTED + a * LD, w, PROJECTED + a * LD, A, 0, LD, V, first + a * LD, 1, N, 1.0, LD)
         take_outer(A, 0, H, first, w, PROJECTED, m, N, LD, True)
         mirror(A, 0, LD)
 
@@ -207,7 +206,7 @@ def smooth(history: History, trail: Trail, k: int) -> None:
     s, A, w, row, P = history.state, trail.adjoint, trail.scratch, trail.row, k * ROW + COVARIANCE
     row_copy(row, 0, s, k * ROW, X)
     clear_row(w, CORRECTION)
-    row_take(w, CORRECTION, s, P, A, LAMBDA, 1, N, LD)
+    row_take(w, CORRECTION, w, CORRECTION, s, P, LD, A, LAMBDA, 1, N, 1.0, LD)
     inject(row, 0, w, CORRECTION)
     for i in range(N):
         clear_row(w, PRODUCT + i * LD)
