@@ -11,6 +11,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -141,13 +142,18 @@ def _join(texts: Sequence[str]) -> str:
 
 
 def _key(declared: Declaration, *measured: str) -> str:
-    digest = hashlib.sha256()
-    texts = [path.read_text() for folder in _SOURCES for path in sorted(folder.glob("*.py"))]
-    added = [repr(sensor) for sensor in declared.sensors]
-    versions = [importlib.metadata.version(package) for package in ("numba", "llvmlite", "numpy")]
-    for text in (*texts, *versions, platform.python_version(), declared.text, declared.function, *added, *measured):
+    digest = hashlib.sha256(_common())
+    for text in (declared.text, declared.function, *map(repr, declared.sensors), *measured):
         digest.update(text.encode() + b"\0")
     return f"{declared.function}-{digest.hexdigest()[:20]}"
+
+
+@cache
+def _common() -> bytes:
+    """What all kernels of this process are made of: the texts, and who compiles them."""
+    texts = [path.read_text() for folder in _SOURCES for path in sorted(folder.glob("*.py"))]
+    versions = [importlib.metadata.version(package) for package in ("numba", "llvmlite", "numpy")]
+    return b"".join(text.encode() + b"\0" for text in (*texts, *versions, platform.python_version()))
 
 
 def _store(path: Path, text: str) -> None:
