@@ -18,7 +18,8 @@ import trustme
 from fuselog.fusion import parse_config
 from fuselog.schemas import ConfigError
 from fuselog.service.rest import protocol, stream
-from fuselog.service.rest.http import tls_context
+from fuselog.service.rest.auth import new_token
+from fuselog.service.rest.http import Entrance, tls_context
 
 from .conftest import ACCESS, CONFIG, READ, ROBOT, Robot, app_of, bearer, listening, positions
 
@@ -293,3 +294,45 @@ def test_tls_that_cannot_be(tmp_path: Path, authority: trustme.CA) -> None:
     other.cert_chain_pems[0].write_to_path(str(tmp_path / "other.pem"))
     with pytest.raises(ConfigError, match=r"http.tls.certificate"):
         tls_of(tmp_path, "tls: {certificate: other.pem, key: key.pem}")
+
+
+def test_tokens_and_certificate_are_renewed(robot: Robot, tmp_path: Path, authority: trustme.CA) -> None:
+    """Those of now are for the next connection; files that are wrong are named, and what was taken stays."""
+    later, lines = trustme.CA(), [new_token("control", "alice"), new_token("read", "bob")]
+    old, new = (line.split()[1] for line in lines)
+
+    def write(tokens: str, mode: int = 0o600) -> None:
+        (tmp_path / "tokens").write_text(tokens)
+        (tmp_path / "tokens").chmod(mode)
+
+    write(lines[0])
+    certificate(tmp_path, authority)
+    text = f"{CONFIG}http: {{tokens: tokens, tls: {{certificate: cert.pem, key: key.pem}}}}\n"
+    config, source = parse_config(text, name=str(tmp_path / "robot.yaml"))
+    entrance = Entrance(config.http, source, behind_proxy=True)
+    with listening(app_of(robot, access=entrance.access), tls=entrance.tls) as port:
+
+        def asked(secret: str, trusted: trustme.CA) -> int:
+            context = ssl.create_default_context()
+            trusted.configure_trust(context)
+            url = f"https://127.0.0.1:{port}{ROBOT}/state"
+            return httpx.get(url, headers=bearer(secret), verify=context).status_code
+
+        def renewed() -> list[str]:
+            return entrance.become(entrance.read_again())
+
+        assert (asked(old, authority), asked(new, authority)) == (200, 401)
+        assert renewed() == []
+        write(lines[1])
+        assert renewed() == ["the tokens are those of now"]
+        assert (asked(old, authority), asked(new, authority)) == (401, 200)
+        certificate(tmp_path, later)
+        assert renewed() == ["the certificate is that of now"]
+        assert asked(new, later) == 200
+        with pytest.raises(httpx.ConnectError, match="CERTIFICATE_VERIFY_FAILED"):
+            asked(new, authority)
+        write(lines[0], mode=0o644)
+        certificate(tmp_path, authority)
+        with pytest.raises(ConfigError, match=r"http\.tokens: .*chmod 600"):
+            renewed()
+        assert asked(new, later) == 200

@@ -16,6 +16,7 @@ from fuselog.fusion.kernel.declared import MODEL_NAMES, find_model
 from fuselog.service.cli import make_app
 from fuselog.service.live.standby import Standby
 from fuselog.service.rest.app import create_app
+from fuselog.service.rest.http import Entrance
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -157,7 +158,8 @@ def test_python_runs(page, tmp_path, monkeypatch, capsys):
 
 
 def test_every_path_of_the_interface_is_documented():
-    served = Standby()
+    config, source = parse_config("{fuselog: 1, model: {name: unicycle}, sensors: {any: {topic: any, fuse: [v]}}}")
+    served = Standby(Entrance(config.http, source, behind_proxy=False))
     app = create_app(served, alive=lambda: True, ready=lambda: True)
     text = (DOCS / "http.md").read_text()
     for path, operations in app.openapi()["paths"].items():

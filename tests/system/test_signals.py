@@ -4,6 +4,8 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +14,7 @@ from threading import Thread
 
 import pytest
 
+from fuselog.service.rest.auth import new_token
 from fuselog.service.transport import Endpoints, open_session
 
 from .conftest import FUSELOG, UNICYCLE, Service, kill, live_config, start
@@ -21,9 +24,11 @@ NOISE, FILTER = "noise: {v: 0.05}", "/api/v1/filters/small"
 
 
 @contextmanager
-def running(folder: Path, program: list[str] = FUSELOG) -> Iterator[tuple[Service, Callable[[], str]]]:
+def running(folder: Path, program: list[str] = FUSELOG, http: str = "") -> Iterator[tuple[Service, Callable[[], str]]]:
     """A service, and its next line after the one of being ready; empty at the end."""
-    service = start(*live_config(folder, UNICYCLE), program=program)
+    path, endpoint, port = live_config(folder, UNICYCLE)
+    path.write_text(path.read_text().replace(f"port: {port}", f"port: {port}, {http}" if http else f"port: {port}"))
+    service = start(path, endpoint, port, program=program)
     lines: SimpleQueue[str] = SimpleQueue()
     assert service.process.stderr is not None
     said = service.process.stderr
@@ -86,6 +91,37 @@ def test_hangup_reloads(tmp_path: Path) -> None:
         assert until(received, lambda count: count == len(data)) == len(data)
         service.process.terminate()
         assert service.process.wait(10) == 0
+
+
+def test_hangup_renews_tokens(tmp_path: Path) -> None:
+    """Another token is in the file: it reads from then on, and the one before does not."""
+    names = "alice", "bob"
+    lines = [new_token("read", name) for name in names]
+
+    def answers(service: Service) -> list[int]:
+        found: list[int] = []
+        for line in lines:
+            asked = urllib.request.Request(service.url + FILTER, headers={"Authorization": f"Bearer {line.split()[1]}"})
+            try:
+                with urllib.request.urlopen(asked, timeout=10) as answer:
+                    found.append(answer.status)
+            except urllib.error.HTTPError as error:
+                found.append(error.code)
+        return found
+
+    tokens = tmp_path / "tokens"
+    tokens.touch(0o600)
+    tokens.write_text(lines[0])
+    with running(tmp_path, http="tokens: tokens") as (service, next_line):
+        assert answers(service) == [200, 401]
+        tokens.write_text(lines[1])
+        service.process.send_signal(signal.SIGHUP)
+        assert next_line() == "the tokens are those of now"
+        assert answers(service) == [401, 200]
+        tokens.write_text("nonsense")
+        service.process.send_signal(signal.SIGHUP)
+        assert "http.tokens: line 1: expected: read|control TOKEN NAME" in next_line()
+        assert answers(service) == [401, 200]
 
 
 HANGS = """import time

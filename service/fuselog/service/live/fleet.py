@@ -119,7 +119,7 @@ class Fleet:
                 self.command(id, Configure(new.plan.source.text))
                 done.append(f"{id} goes on with {group.plan.source.name} as it is now")
             group.plan = new.plan
-        return done or ["nothing has changed"]
+        return done
 
     def record(self, id: str, what: Literal["start", "stop", "snapshot"]) -> RecordingStatus:
         """As ``Served``."""

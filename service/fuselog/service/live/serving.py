@@ -14,7 +14,7 @@ from fuselog.service.live.group import make_group
 from fuselog.service.live.standby import Standby
 from fuselog.service.page.page import add_page
 from fuselog.service.rest.app import create_app
-from fuselog.service.rest.http import HttpServer, allowed_hosts, bind, read_access, tls_context
+from fuselog.service.rest.http import Entrance, HttpServer, allowed_hosts, bind
 from fuselog.service.threads import Worker, WorkerError
 from fuselog.service.transport import open_session, service_endpoints
 
@@ -47,33 +47,32 @@ def serve(
     http = first.config.http
     _check_shared(plans)
     groups = [make_group(plan) for plan in plans]
-    access = read_access(http, first.source, behind_proxy=behind_proxy)
-    tls = tls_context(http.tls, first.source)
+    entrance = Entrance(http, first.source, behind_proxy=behind_proxy)
     with bind(http.host, http.port) as listener:
-        served = Standby()
+        served = Standby(entrance)
         app = create_app(
             served,
             alive=lambda: served.alive,
             ready=lambda: served.ready and not stop.is_set(),
-            access=access,
+            access=entrance.access,
             hosts=allowed_hosts(http),
             streams=http.streams,
             page=add_page,
         )
-        server = HttpServer(app, listener, tls=tls)
+        server = HttpServer(app, listener, tls=entrance.tls)
         answering = Worker("HTTP server", server.run, stop.set)
         try:
             with open_session(service_endpoints(first.config.zenoh, first.source), timeout_s=_CONNECT_S) as session:
                 fleet = Fleet(groups, session, ended=stop.set, snapshot=snapshot)
                 served.fleet = fleet
                 gc.freeze()  # walking all that is loaded would hold up samples for a tenth of a second
-                started(_address(listener, "https" if tls else "http"))
+                started(_address(listener, "http" if entrance.tls is None else "https"))
                 every_s = _tend_every_s(plans)
                 while not stop.wait(every_s):
                     fleet.tend()
                     if reload is not None and reload.is_set():
                         reload.clear()
-                        say("; ".join(_reloaded(fleet)))
+                        say("; ".join(_reloaded(served)))
                 fleet.finish()
         finally:
             server.stop()
@@ -82,10 +81,10 @@ def serve(
             raise WorkerError(answering) from answering.error
 
 
-def _reloaded(fleet: Fleet) -> list[str]:
+def _reloaded(served: Standby) -> list[str]:
     """What reading the configurations again did, or why it did nothing."""
     try:
-        return fleet.reload()
+        return served.reload()
     except FuselogError as error:
         return [f"not reloaded: {error}"]
 

@@ -10,13 +10,16 @@ from fuselog.service.live.fleet import Fleet
 from fuselog.service.live.member import Snapshot
 from fuselog.service.live.runner import Unknown
 from fuselog.service.play.remote import command_player, players
+from fuselog.service.rest.http import Entrance
 
 
 class Standby:
     """``Served`` of no filters, until ``begin``."""
 
-    def __init__(self) -> None:
+    def __init__(self, entrance: Entrance) -> None:
+        """``entrance``: what a reload reads again besides the configurations."""
         self.fleet: Fleet | None = None
+        self._entrance = entrance
 
     @property
     def ready(self) -> bool:
@@ -51,7 +54,9 @@ class Standby:
 
     def reload(self) -> list[str]:
         """As ``Served``."""
-        return [] if self.fleet is None else self.fleet.reload()
+        fresh = self._entrance.read_again()
+        done = [] if self.fleet is None else self.fleet.reload()
+        return [*self._entrance.become(fresh), *done] or ["nothing has changed"]
 
     def record(self, id: str, what: Literal["start", "stop", "snapshot"]) -> RecordingStatus:
         """As ``Served``."""

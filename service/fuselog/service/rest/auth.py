@@ -33,12 +33,17 @@ class Token:
     digest: bytes = field(repr=False)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Access:
     """Who may do what. ``open``: reading needs no token, for only this machine can ask."""
 
     tokens: tuple[Token, ...] = ()
     open: bool = True
+
+    def become(self, fresh: "Access") -> None:
+        """Let those in that another lets in, from the next request on."""
+        self.open = self.open and fresh.open  # never open to somebody whom neither of the two lets in
+        self.tokens, self.open = fresh.tokens, fresh.open
 
     def check(self, who: Token | None, *, change: bool) -> None:
         """Raise ``Refused`` (401, 403) when they may not."""

@@ -77,19 +77,50 @@ def tls_context(tls: HttpTlsSettings | None, source: Source) -> ssl.SSLContext |
     """What HTTPS needs; raises ``ConfigError`` for files that cannot be used."""
     if tls is None:
         return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    _load_certificate(context, tls, source)
+    return context
+
+
+def _load_certificate(context: ssl.SSLContext, tls: HttpTlsSettings, source: Source) -> None:
     folder = Path(source.name).parent
     certificate, key = folder / tls.certificate, folder / tls.key
     reason = check_private(key)
     if reason:
         raise source.complain([Problem(("http", "tls", "key"), reason)])
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
     try:
         context.load_cert_chain(certificate, key, password="")  # never asks at the terminal
     except (OSError, ValueError) as error:
         reason = f"{certificate} and {key} are no certificate and its key: {error}"
         raise source.complain([Problem(("http", "tls", "certificate"), reason)]) from error
-    return context
+
+
+class Entrance:
+    """Who gets in at an address, and by which certificate: both from files, which can be read again in use."""
+
+    def __init__(self, http: HttpSettings, source: Source, *, behind_proxy: bool) -> None:
+        """Raises ``ConfigError`` as ``read_access`` and ``tls_context`` do."""
+        self._http, self._source, self._behind_proxy = http, source, behind_proxy
+        self.access = read_access(http, source, behind_proxy=behind_proxy)
+        self.tls = tls_context(http.tls, source)
+        self._certificate = b"" if http.tls is None else (Path(source.name).parent / http.tls.certificate).read_bytes()
+
+    def read_again(self) -> "Entrance":
+        """The same from the files as they are now; raises ``ConfigError``."""
+        return Entrance(self._http, self._source, behind_proxy=self._behind_proxy)
+
+    def become(self, fresh: "Entrance") -> list[str]:
+        """Take what was read again, for requests and connections to come; what is other, in words."""
+        done: list[str] = []
+        if fresh.access != self.access:
+            self.access.become(fresh.access)
+            done.append("the tokens are those of now")
+        if self.tls is not None and self._http.tls is not None and fresh._certificate != self._certificate:
+            _load_certificate(self.tls, self._http.tls, self._source)
+            self._certificate = fresh._certificate
+            done.append("the certificate is that of now")
+        return done
 
 
 def bind(host: str, port: int) -> socket.socket:

@@ -41,7 +41,10 @@ class Served(Protocol):
         ...
 
     def reload(self) -> list[str]:
-        """Read the configuration files again; what was done, in words. Raises ``ConfigError``: all is as it was."""
+        """Read the configuration files again, tokens and certificate; what was done, in words.
+
+        Raises ``ConfigError``, or ``CommandError`` for what a running filter cannot take: all is as it was.
+        """
         ...
 
     def record(self, id: str, what: Literal["start", "stop", "snapshot"]) -> RecordingStatus:
