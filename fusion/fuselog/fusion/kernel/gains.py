@@ -159,5 +159,5 @@ def solve(work: Work, m: int) -> None:
     for a in range(m):
         row_take(w, WHITE + a * LD, w, HP + a * LD, w, WHITE, LD, L, a * m, 1, a, L[a * m + a], LD)
     for a in range(last, -1, -1):
-        of, to, behind = L[a * m + a], G + a * LD, last - a
-        row_take(w, to, w, WHITE + a * LD, w, G + last * LD, -LD, L, last * m + a, -m, behind, of, LD)
+        scale = L[a * m + a]
+        row_take(w, G + a * LD, w, WHITE + a * LD, w, G + last * LD, -LD, L, last * m + a, -m, last - a, scale, LD)

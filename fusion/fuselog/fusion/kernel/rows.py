@@ -21,7 +21,7 @@ Floats = Any  # a pointer to float64
 _BYTES = 8  # of a float64
 _BLOCK = 4  # rows and columns that are transposed at a time
 _NARROW = 8  # lanes up to which four rows fit the registers of every processor
-_LEAST = 2.0**-400  # what is left of a sum below it is 0: a product of two more is no denormal number; those take long
+_LEAST = 2.0**-400  # what a subtraction leaves below it is 0: denormal numbers take long, products of larger are none
 
 
 def _row(builder: Any, pointer: Any, offset: Any, width: int) -> Any:
