@@ -42,10 +42,11 @@ def inline(function: _Kernel) -> _Kernel:
 def leaf(function: _Kernel) -> _Kernel:
     """As `inline`, for a function that makes no array: it borrows its arguments, and no call counts references.
 
-    Counting is an atomic operation per array and call, which is more than half of the time of a small function.
+    Counting is an atomic operation per array and call, which is more than half of the time of a small function. Its
+    code is put where it is called: an array is seven arguments to hand over.
     """
-    options = {"error_model": "numpy", "inline": "never", "_nrt": False, "pipeline_class": PartCompiler}
-    return cast(_Kernel, cast(Any, numba.njit)(**options)(function))
+    options = {"error_model": "numpy", "inline": "never", "forceinline": True, "_nrt": False}
+    return cast(_Kernel, cast(Any, numba.njit)(**options, pipeline_class=PartCompiler)(function))
 
 
 class _Load(Protocol):
@@ -99,7 +100,7 @@ store = cast(_Store, intrinsic(_store))
 
 
 class _Copy(Protocol):
-    def __call__(self, data: NDArray[np.uint8], at: int, source: NDArray[Any], first: int, count: int, /) -> None: ...
+    def __call__(self, data: NDArray[Any], at: int, source: NDArray[Any], first: int, count: int, /) -> None: ...
 
 
 def _copy(_context: Any, data: Any, at: Any, source: Any, first: Any, count: Any) -> Any:  # noqa: ARG001  types only
@@ -115,6 +116,6 @@ def _copy(_context: Any, data: Any, at: Any, source: Any, first: Any, count: Any
 
 
 copy = cast(_Copy, intrinsic(_copy))
-"""Inside kernels: the bytes of ``source[first : first + count]``, a flat array, from ``data[at]`` on, unchecked."""
+"""Inside kernels: the bytes of ``source[first : first + count]`` from ``data[at]`` on, both flat arrays, unchecked."""
 
 HOST_IS_BIG_ENDIAN = sys.byteorder == "big"

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.schemas.compiled import HOST_IS_BIG_ENDIAN, kernel, leaf, load
+from fuselog.schemas.compiled import HOST_IS_BIG_ENDIAN, copy, kernel, leaf, load
 from fuselog.schemas.messages import Fault
 from fuselog.schemas.tree import KINDS
 
@@ -45,11 +45,12 @@ _SCHEMA: Final = int(Fault.SCHEMA)
 
 
 class Program(NamedTuple):
-    """Operations (m, WORDS), how many loops they nest, and how many parts of the stamp they read."""
+    """What to do with every message."""
 
-    operations: NDArray[np.int64]
-    depth: int
-    stamp_parts: int
+    operations: NDArray[np.int64]  # (m, WORDS)
+    depth: int  # how many loops they nest
+    stamp_parts: int  # that they read
+    gaps: bool  # whether a message may lack elements that have a column
 
 
 class Rows(NamedTuple):
@@ -73,21 +74,23 @@ def run(
     """Decode ``data[start[i] : start[i] + length[i]]`` into row i of the outputs, for every i."""
     loops = np.zeros((2, program.depth), np.int64)
     for row in range(start.size):
+        if program.gaps:
+            rows.values[row] = np.nan
         _clear(rows, row)
         found = _encapsulation(data, start[row], length[row])
         if found == _GOOD:
             found = _message(program, data, start[row] + _HEADER, length[row] - _HEADER, rows, row, loops)
         if found != _GOOD:
+            rows.values[row] = np.nan
             _clear(rows, row)
         rows.fault[row] = found
 
 
 @leaf
 def _clear(rows: Rows, row: int) -> None:
-    rows.values[row] = np.nan
     rows.t_ns[row] = 0
-    rows.text_start[row] = 0
-    rows.text_length[row] = 0
+    for text in range(rows.text_start.shape[1]):
+        rows.text_start[row, text] = rows.text_length[row, text] = 0
 
 
 @leaf
@@ -190,7 +193,9 @@ def _numbers(
     data: NDArray[np.uint8], at: int, kind: int, count: int, values: NDArray[np.float64], swapped: bool
 ) -> None:
     """The ``count`` numbers from ``data[at]`` on, into the first of ``values``."""
-    if kind == _FLOAT64:
+    if kind == _FLOAT64 and not swapped:
+        copy(values, 0, data, at, 8 * count)
+    elif kind == _FLOAT64:
         for i in range(count):
             values[i] = load(data, at + 8 * i, swapped, np.float64)
     else:

@@ -49,8 +49,13 @@ def assemble(root: Node, want: Want) -> Program:
     assembler = _Assembler()
     assembler.node(root, want)
     rows = [[*row, *(0,) * (WORDS - len(row))] for row in assembler.rows]
-    operations = np.array(rows, np.int64).reshape(len(rows), WORDS)
-    return Program(operations, assembler.deepest, sum(row[0] == STAMP for row in assembler.rows))
+    codes = [row[0] for row in rows]
+    return Program(
+        operations=np.array(rows, np.int64).reshape(len(rows), WORDS),
+        depth=assembler.deepest,
+        stamp_parts=codes.count(STAMP),
+        gaps=ITEMS in codes or WHILE in codes,
+    )
 
 
 class _Assembler:

@@ -95,7 +95,7 @@ class Log:
 
         Payloads lie in the decompressed chunk, or in the file itself. Memory is bounded by a chunk and those that
         overlap it in time, and two more for each of ``workers``, when these are more than one: threads that decompress
-        ahead. Their number changes nothing that comes.
+        ahead, the caller's among them. Their number changes nothing that comes.
         """
         wanted = select(self.channels.values(), topics, start_ns, end_ns)
         readings = [

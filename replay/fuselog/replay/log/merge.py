@@ -40,7 +40,7 @@ def in_time_order(pieces: Iterable[Piece], workers: int = 1) -> Iterator[Message
     """Load pieces by start time and yield what no later one can precede: by log time, ties by place.
 
     Only pieces that overlap are held together; one that no other overlaps is passed on without a copy. More than one of
-    ``workers`` are threads that open pieces ahead; their number changes nothing that comes.
+    ``workers`` are threads that open pieces ahead, the caller's among them; their number changes nothing that comes.
     """
     order = sorted(pieces, key=lambda piece: (piece.start_ns, piece.place))
     waiting: list[_Loaded] = []

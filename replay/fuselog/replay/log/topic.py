@@ -31,7 +31,7 @@ class Topic:
     """The messages of one topic of an open log. Nothing is read before it is asked for, and nothing is kept.
 
     ``fields`` of every method are paths, each with all that is below it: ``angular_velocity`` is three columns. None
-    takes all of `fields`; what these leave out is in `left_out`. ``workers`` is how many threads decompress. All
+    takes all of `fields`; what these leave out is in `left_out`. ``workers`` is how many threads work on it. All
     methods raise SchemaError for a field that is not there, and MissingPackageError for a package that is not.
     """
 
