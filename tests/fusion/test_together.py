@@ -4,9 +4,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from tests.fusion.runs import CASES, Written, drive, plan_of, remembered
+from tests.fusion.runs import CASES, POINT, Written, drive, merged, plan_of, remembered
+from tests.fusion.setups import make_plan
 
-from fuselog.fusion import Filter, Track
+from fuselog.fusion import Filter, Outputs, Track
 from fuselog.fusion.together import MOST, Together
 from fuselog.schemas import Messages, pack
 
@@ -75,10 +76,10 @@ def test_together_as_alone(name: str) -> None:
             for first, (_, _, messages) in zip(at, made, strict=True)
         ]
         batch, mine = joined([(messages, span) for (_, _, messages), span in zip(made, spans, strict=True)])
-        tracks = together.feed([other for _, other, _ in made], batch, mine)
-        for (one, other, messages), span, track, single, joint in zip(made, spans, tracks, alone, jointly, strict=True):
+        shares = together.feed([other for _, other, _ in made], batch, mine)
+        for (one, other, messages), span, share, single, joint in zip(made, spans, shares, alone, jointly, strict=True):
             single.add(one.feed(messages.take(span)), one.beside())
-            joint.add(track, other.beside())
+            joint.add(share.alone(), other.beside())
         at = [span.stop for span in spans]
     for (one, other, _), single, joint in zip(made, alone, jointly, strict=True):
         assert joint.finish() == single.finish()
@@ -94,10 +95,39 @@ def test_more_than_there_is_room_for() -> None:
     made = drives("point")
     batch, mine = joined([(messages, slice(0, len(messages))) for _, _, messages in made])
     assert len(batch) > MOST
-    tracks = Together(plan_of("point")).feed([other for _, other, _ in made], batch, mine)
-    for (one, other, messages), track in zip(made, tracks, strict=True):
-        assert one.feed(messages).x.tobytes() == track.x.tobytes()
+    shares = Together(plan_of("point")).feed([other for _, other, _ in made], batch, mine)
+    for (one, other, messages), share in zip(made, shares, strict=True):
+        assert one.feed(messages).x.tobytes() == share.alone().x.tobytes()
         assert remembered(other) == remembered(one)
+
+
+def test_estimates_written_together_as_alone() -> None:
+    """Of rows that moved the filter, and of some that did not."""
+    made, plan = drives("point"), plan_of("point")
+    batch, mine = joined([(messages, slice(0, 40)) for _, _, messages in made])
+    shares = Together(plan).feed([other for _, other, _ in made], batch, mine)
+    track, forms = shares[0].track, {Outputs(each.plan).form for _, each, _ in made}
+    assert len(forms) == 1
+    assert None not in forms
+    assert all(share.track is track for share in shares)
+    together = Outputs(plan).encode_shared(track, [share.rows for share in shares])
+    for share, messages in zip(shares, together, strict=True):
+        alone = Outputs(plan).encode(share.alone(), wanted={0})
+        assert 0 < len(alone) < 40
+        assert [written(messages, i) for i in range(len(messages))] == [written(alone, i) for i in range(len(alone))]
+
+
+def written(messages: Messages, i: int) -> tuple[int, int, int, bytes]:
+    at, size = messages.start[i], messages.length[i]
+    times = int(messages.log_time[i]), int(messages.publish_time[i])
+    return int(messages.stream[i]), *times, messages.data[at : at + size].tobytes()
+
+
+@pytest.mark.parametrize("output", [{"rate": 10}, {"frame": "other"}])
+def test_estimates_that_are_not_written_alike(output: dict[str, object]) -> None:
+    other = Outputs(make_plan(merged(POINT, output=output))).form
+    assert other != Outputs(make_plan(POINT)).form
+    assert (other is None) == ("rate" in output)
 
 
 def test_payloads_that_are_none() -> None:

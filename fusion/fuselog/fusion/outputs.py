@@ -87,6 +87,18 @@ class Outputs:
             jobs += self._decision_jobs(track)
         return _encode(jobs + ([] if beside is None else self._beside_jobs(beside, len(track))))
 
+    @property
+    def form(self) -> bytes | None:
+        """What ``encode_shared`` writes of filters that have the same one; None where it cannot."""
+        return None if self._plan.config.output.rate is not None else self._estimate.template
+
+    def encode_shared(self, track: Track, spans: Sequence[slice]) -> list[Messages]:
+        """The estimates in the rows of each span of a track: ``encode`` for filters of one ``form``, all at once."""
+        rows = moved(track)
+        encoded = _encode(self._estimate_jobs(track if len(rows) == len(track) else track.take(rows), rows, (0,)))
+        cuts = rows.searchsorted([[span.start, span.stop] for span in spans]).tolist()
+        return [encoded.take(slice(begin, end)) for begin, end in cuts]
+
     def finish(self) -> Messages:
         """The estimates that still wait for the end of their period."""
         one = np.zeros(1, np.int64)

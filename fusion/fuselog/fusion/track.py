@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,22 @@ class Track:
         """The rows of one sensor, or those of them with this decision."""
         mine = self.sensor == self.sensors.index(sensor)
         return np.flatnonzero(mine if decision is None else mine & (self.decision == decision))
+
+
+class Share(NamedTuple):
+    """The rows of one filter in a track that may hold those of others too."""
+
+    track: Track
+    rows: slice
+
+    def alone(self) -> Track:
+        """The rows as a track of their own."""
+        return self.track.take(self.rows)
+
+
+def whole(track: Track) -> Share:
+    """All rows of a track of one filter."""
+    return Share(track, slice(0, len(track)))
 
 
 def join_tracks(tracks: Sequence[Track]) -> Track:

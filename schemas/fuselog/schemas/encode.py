@@ -58,7 +58,8 @@ class CdrEncoder:
         self.paths = tuple(path for path, _ in slots)
         self.size = len(layout.template)
         self._schema = schema_name
-        self._template = np.frombuffer(bytes(layout.template), np.uint8)
+        self.template = bytes(layout.template)  # a message whose columns are 0
+        self._template = np.frombuffer(self.template, np.uint8)
         self._kinds = [slot.kind for _, slot in slots]
         self._runs = _runs([slot for _, slot in slots])
         self._stamp, self._stamp_kind = np.empty((0, 3), np.int64), ""

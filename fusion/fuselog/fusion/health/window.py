@@ -152,6 +152,10 @@ class Seen(NamedTuple):
     innovation: Floats
     innovation_variance: Floats
 
+    def take(self, rows: slice) -> "Seen":
+        """Some of the events."""
+        return Seen._make(column[rows] for column in self)
+
 
 _columns = attrgetter(*Seen._fields)
 

@@ -28,15 +28,19 @@ from fuselog.fusion.health import (
 from fuselog.fusion.intake import same_topic
 from fuselog.fusion.sealed import CheckpointError, seal, unseal
 from fuselog.fusion.together import shape_of
+from fuselog.fusion.track import Share, whole
 from fuselog.replay.recording import RecordingStatus
-from fuselog.schemas import FuselogError
+from fuselog.schemas import FuselogError, Messages
 from fuselog.service.batch import Batch
 from fuselog.service.live.group import Group
 from fuselog.service.live.outbox import Outbox
 from fuselog.service.live.sources import Numbered, Progress, Sources
 from fuselog.service.streams import Learn, Streams, stream_types
 
+ESTIMATES_ALONE = {0}  # the streams of an outbox of which nothing else is wanted
+
 _MOST_CHANGES = 1000
+_MOST_SEEN = 16  # batches that are remembered at once, as a filter has to wait meanwhile
 _ABOUT = {"kind": "member of a service"}
 
 
@@ -83,14 +87,13 @@ class Member:
         self.watched = time.monotonic()  # when health was judged, and the snapshot made
         self._outputs = Outputs(plan)
         self._recent = no_samples(plan)
-        self._seen: list[Seen] = []  # since the last judgement
+        self._seen: list[tuple[Seen, slice]] = []  # not yet remembered
         self._shed, self._oversized, self._missed = ([0] * len(self.keys) for _ in range(3))
         self._origin, self._unpredicted = "it began anew", ""
         self._predict_from = 0.0  # monotonic s
         self._memory: HealthMemory = no_judgement()
         self._changes: deque[HealthChange] = deque(maxlen=_MOST_CHANGES)
         self._shown: tuple[HealthChange, ...] = ()
-        self._health = self._judge()
         self.snapshot = self._look()
 
     @property
@@ -105,11 +108,26 @@ class Member:
         self.last_arrival = time.monotonic()
         return slice(first, len(batch))
 
-    def give(self, track: Track, *, since_ns: int | None = None) -> None:
-        """Give away what the filter made of samples of which the oldest arrived then (monotonic)."""
-        self._seen.append(seen(track))
-        encoded = self._outputs.encode(track, self.filter.beside(), wanted=self.outbox.wanted)
+    @property
+    def form(self) -> bytes | None:
+        """``Outputs.form``, if nobody wants anything else than that."""
+        return self._outputs.form if self.outbox.wanted == ESTIMATES_ALONE else None
+
+    def give(self, share: Share, encoded: Messages | None = None, *, since_ns: int | None = None) -> None:
+        """Give away what the filter made of samples of which the oldest arrived then (monotonic).
+
+        ``encoded``: what goes out, where that has been written together with what others give.
+        """
+        if encoded is None:
+            encoded = self._outputs.encode(share.alone(), self.filter.beside(), wanted=self.outbox.wanted)
         self.outbox.offer(encoded, since_ns=since_ns)
+        self._seen.append((seen(share.track), share.rows))
+        if len(self._seen) >= _MOST_SEEN:
+            self._remember()
+
+    def encode_shared(self, track: Track, spans: Sequence[slice]) -> list[Messages]:
+        """``Outputs.encode_shared``, for members of one form."""
+        return self._outputs.encode_shared(track, spans)
 
     def command(self, command: Command, asked_ns: int) -> None:
         """Follow a command asked for at ``asked_ns``; raises ``CommandError`` or ``ConfigError`` where it cannot.
@@ -119,9 +137,9 @@ class Member:
         if isinstance(command, Configure):
             command = Configure(fill(command.text, self._captures))
         try:
-            self.give(self.filter.command(command, asked_ns))
+            self.give(whole(self.filter.command(command, asked_ns)))
         except FuselogError:
-            self.give(self.filter.feed(Batch().messages()))
+            self.give(whole(self.filter.feed(Batch().messages())))
             raise
 
     def turn_away(self, *, shed: Sequence[int], oversized: Sequence[int], missed: Sequence[int]) -> None:
@@ -133,11 +151,11 @@ class Member:
 
     def watch(self) -> None:
         """Judge the health anew, publish it, and renew the snapshot."""
-        self._judge()
-        if self.outbox.wants("health"):
-            payload = health_message(self._health, filter_id=self.id, frame=self.filter.plan.config.output.frame)
-            self.outbox.tell("health", payload, self._health.t_ns or 0)
         self.snapshot = self._look()
+        if self.outbox.wants("health"):
+            health = self.snapshot.health
+            payload = health_message(health, filter_id=self.id, frame=self.filter.plan.config.output.frame)
+            self.outbox.tell("health", payload, health.t_ns or 0)
 
     def predict_when_due(self, now: float) -> float:
         """Publish the state predicted to the time of the machine's clock, if it is due at ``now`` (monotonic s).
@@ -154,11 +172,10 @@ class Member:
 
     def finish(self) -> None:
         """Give away what was held back."""
-        self.give(self.filter.finish())
+        self.give(whole(self.filter.finish()))
         self.outbox.offer(self._outputs.finish())
-        self._judge()
-        self.outbox.close()
         self.snapshot = self._look()
+        self.outbox.close()
 
     def checkpoint(self) -> bytes:
         """All that it remembers, and how far publishers were."""
@@ -182,7 +199,6 @@ class Member:
         except (FuselogError, LookupError, AttributeError, TypeError, ValueError) as error:
             self._begin()  # nothing of a checkpoint that holds in part
             self._origin = f"it began anew: {error}"
-        self._judge()
         self.snapshot = self._look()
 
     def progress(self) -> dict[str, dict[str, Progress]]:
@@ -191,7 +207,7 @@ class Member:
 
     def _predict(self) -> None:
         self._unpredicted = ""
-        if self._health.t_ns is None or not self.outbox.wants("now"):
+        if self.snapshot.health.t_ns is None or not self.outbox.wants("now"):
             return
         t_ns = time.time_ns()
         try:
@@ -211,22 +227,22 @@ class Member:
 
     def _remember(self) -> None:
         if self._seen:
-            self._recent = remember(self._recent, self._seen)
+            self._recent = remember(self._recent, [each.take(rows) for each, rows in self._seen])
             self._seen.clear()
 
-    def _judge(self) -> Health:
-        """The health now; what it changed goes to the changes that are shown."""
+    def _look(self) -> Snapshot:
+        """The filter as it is, its health judged anew; what that changed goes to the changes that are shown."""
         self._remember()
         self.watched = time.monotonic()
-        plan = self.filter.plan
+        plan, estimate, ledger, losses = self.filter.plan, self.filter.estimate, self.filter.ledger, self._losses()
         self._memory = watch(
             self._memory,
             plan,
             now_ns=time.monotonic_ns(),
-            estimate=self.filter.estimate,
-            ledger=self.filter.ledger,
+            estimate=estimate,
+            ledger=ledger,
             recent=self._recent,
-            losses=self._losses(),
+            losses=losses,
             optimality_ratio=self.filter.optimality_ratio,
         )
         assert self._memory.health is not None
@@ -234,21 +250,17 @@ class Member:
             wall_ns = time.time_ns() - time.monotonic_ns()
             self._changes.extend(change._replace(t_ns=change.t_ns + wall_ns) for change in self._memory.changes)
             self._shown = tuple(self._changes)
-        self._health, self._delay = self._memory.health, _delay(self.outbox.latencies_ns.copy())
-        return self._health
-
-    def _look(self) -> Snapshot:
         return Snapshot(
-            plan=self.filter.plan,
-            estimate=self.filter.estimate,
-            ledger=self.filter.ledger,
+            plan=plan,
+            estimate=estimate,
+            ledger=ledger,
             recent=self._recent,
-            health=self._health,
+            health=self._memory.health,
             changes=self._shown,
-            losses=self._losses(),
+            losses=losses,
             progress=self._sources.progress(),
             unpublished=self.outbox.dropped,
-            delay=self._delay,
+            delay=_delay(self.outbox.latencies_ns.copy()),
             last_arrival=self.last_arrival,
             origin=self._origin,
             unpredicted=self._unpredicted,

@@ -134,7 +134,7 @@ class Runner:
             if stopping and not arrivals:
                 break
             if arrivals and not stopping and len(arrivals) < self.inbox.capacity // 16:
-                time.sleep(min(time.monotonic() - begun, _GATHER_S))
+                time.sleep(max(now + min(now - begun, _GATHER_S) - time.monotonic(), 0.0))
         self.last_checkpoints = [
             (member.group, id, member.checkpoint())
             for id, member in self._members.items()
