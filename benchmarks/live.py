@@ -197,9 +197,11 @@ def compare(samples: int, rounds: int) -> None:
     print(f"at best {max(ratios):.0%} (goal 60 %)")
 
 
-def cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+def cpu_s(pid: int) -> list[float]:
+    """CPU time (s) of the process of the filters, and of the one for HTTP."""
+    child = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    fields = [Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split() for each in (pid, *child)]
+    return [(int(each[11]) + int(each[12])) / os.sysconf("SC_CLK_TCK") for each in fields]
 
 
 def ask(url: str, rate: float, stop: threading.Event, times: list[float]) -> None:
@@ -241,7 +243,8 @@ def load(robots: int, seconds: float, requests: float, clients: int) -> None:
             worker.start()
         before, begun = cpu_s(service.process.pid), time.monotonic()
         time.sleep(max(seconds - 3, 1))
-        cores = (cpu_s(service.process.pid) - before) / (time.monotonic() - begun)
+        took = time.monotonic() - begun
+        cores = [(now - then) / took for then, now in zip(before, cpu_s(service.process.pid), strict=True)]
         sent = json.loads(sender.communicate()[0])
         stop.set()
         time.sleep(0.5)
@@ -270,7 +273,10 @@ def report(robots, seconds, sent, seen, accounts, cores, times) -> None:
     print(f"{seen['estimates']} estimates; sample to estimate, ms: {quantiles} (goal p99 {GOAL_MS:g})")
     delays = [health["delay"]["p99_s"] * 1e3 for health in accounts if health["delay"]]
     print(f"arrival to publication, as the service says, ms: p99 {max(delays):.2f} in the slowest filter")
-    print(f"the service used {cores:.2f} cores (goal {GOAL_CORES:g})")
+    fusing, answering = cores
+    print(
+        f"the service used {sum(cores):.2f} cores (goal {GOAL_CORES:g}): {fusing:.2f} to fuse, {answering:.2f} for HTTP"
+    )
     if times:
         ms = np.array(times) * 1e3
         rate = len(times) / seconds

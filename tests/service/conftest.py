@@ -113,6 +113,10 @@ class Robot:
         """It is gone."""
         self.gone = dict(self.snapshots())
 
+    def remembered(self, id: str) -> Recent:
+        """Its last samples."""
+        return {**self.gone, **self.snapshots()}[id].recent
+
     @property
     def unknown(self) -> Unknown:
         """Nothing."""

@@ -52,8 +52,8 @@ def accounts(health: dict[str, Any]) -> dict[str, Any]:
 
 
 def settled(service: Service, name: str, ledger: dict[str, Any]) -> dict[str, Any]:
-    """The health of a filter once it shows this ledger, or after two seconds."""
-    end = time.monotonic() + 2
+    """The health of a filter once it shows this ledger, or after five seconds."""
+    end = time.monotonic() + 5
     while accounts(health := service.get(f"/api/v1/filters/{name}/health")) != ledger and time.monotonic() < end:
         time.sleep(0.05)
     return health
@@ -81,8 +81,8 @@ def live_equals_offline(log: Path, service: Service, name: str, folder: Path, *o
         end = time.monotonic() + 10
         while len(payloads) < len(wanted) and time.monotonic() < end:
             time.sleep(0.01)
-    state = service.get(f"/api/v1/filters/{name}/state")
     health = settled(service, name, received["ledger"])
+    state = service.get(f"/api/v1/filters/{name}/state")
     assert state == best["final"] == received["final"]  # floats in JSON have every digit
     assert payloads == wanted
     assert accounts(health) == received["ledger"]

@@ -19,6 +19,7 @@ import pytest
 from fuselog.replay import open_log
 
 from .conftest import EXAMPLES, FUSELOG, UNICYCLE, Service, free_port, run
+from .publishing import until
 from .test_live import collecting, played
 
 Serve = Callable[[str], Service]
@@ -265,13 +266,15 @@ def test_a_full_disk_does_not_touch_the_fusion(serve: Serve, small_log: Path, tm
     service = serve(text)
     resource.prlimit(service.process.pid, resource.RLIMIT_FSIZE, (500_000, 500_000))
     played(small_log, service, "--fast")
-    health = service.get("/api/v1/filters/small/health")
+    health = until(
+        lambda: service.get("/api/v1/filters/small/health"), lambda health: health["recording"]["state"] == "stopped"
+    )
     assert health["recording"]["state"] == "stopped"
     assert health["status"] != "healthy"
     assert f"the recording stopped: {tmp_path}/drive_0.mcap: File too large" in health["reasons"]
     assert health["recording"]["dropped"]["disk"] > 0
-    state = service.get("/api/v1/filters/small/state")
-    assert state == fused(small_log, service.config, "as_received")["final"]
+    final = fused(small_log, service.config, "as_received")["final"]
+    assert until(lambda: service.get("/api/v1/filters/small/state"), lambda state: state == final) == final
     assert service.end()[0] == 0
 
 
@@ -279,8 +282,10 @@ def test_a_recording_that_cannot_begin(serve: Serve, small_log: Path) -> None:
     """The service runs; health names the reason."""
     service = serve(f"{UNICYCLE}record: {{path: /absent/drive.mcap}}\n")
     played(small_log, service, "--fast", "--topic", "/imu/data")
-    reasons = service.get("/api/v1/filters/small/health")["reasons"]
-    assert "the recording stopped: /absent/drive_0.mcap: No such file or directory" in reasons
+    wrong = "the recording stopped: /absent/drive_0.mcap: No such file or directory"
+    assert wrong in until(
+        lambda: service.get("/api/v1/filters/small/health")["reasons"], lambda reasons: wrong in reasons
+    )
     assert service.end()[0] == 0
 
 

@@ -46,7 +46,8 @@ class Fleet:
     Raises ``TransportError`` where another service publishes the same estimates.
 
     ``ended`` is called when one of its threads is over, whatever the reason, but for those of recordings, which may
-    fail without harm; ``snapshot``, when set, asks them for a snapshot.
+    fail without harm; ``snapshot``, when set, asks them for a snapshot; ``shown`` is called when filters are shown
+    anew.
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class Fleet:
         *,
         ended: Callable[[], None],
         snapshot: threading.Event | None = None,
+        shown: Callable[[], None] = lambda: None,
     ) -> None:
         self._claim = Claim(session, [group.plan.config.output.estimate for group in groups])
         for group in groups:
@@ -68,7 +70,7 @@ class Fleet:
         self._unsaved: dict[str, str] = {}  # filters whose last checkpoint could not be written, and why
         asked = snapshot or threading.Event()
         self._recorders = {group: recorder for group in groups if (recorder := _recorder(group, session, asked))}
-        self._runner = Runner(groups, Inbox(), self._make, self._post.flush)
+        self._runner = Runner(groups, Inbox(), self._make, flush=self._post.flush, shown=shown)
         self._publishing = Worker("publisher", self._post.run, ended)
         self._fusing = Worker("filter", self._runner.run, ended)
         self._unsubscribe = [self._subscribe(number, *each) for number, each in enumerate(self._runner.subscriptions)]

@@ -43,10 +43,12 @@ class Runner:
     ``heartbeat`` is the monotonic time (s) of the last turn.
     """
 
-    def __init__(self, groups: Sequence[Group], inbox: Inbox, make: Make, flush: Callable[[], None]) -> None:
-        """``flush`` lets go out what filters have given away."""
+    def __init__(
+        self, groups: Sequence[Group], inbox: Inbox, make: Make, *, flush: Callable[[], None], shown: Callable[[], None]
+    ) -> None:
+        """``flush`` lets go out what filters have given away; ``shown`` is called when there are new snapshots."""
         self.inbox = inbox
-        self._make, self._flush, self._feeding = make, flush, Feeding()
+        self._make, self._flush, self._shown, self._feeding = make, flush, shown, Feeding()
         self._subscriptions: list[tuple[Group, KeyPattern]] = [
             (group, pattern) for group in groups for pattern in group.patterns
         ]
@@ -293,3 +295,4 @@ class Runner:
         self.snapshots = {name: member.snapshot for name, member in self._members.items()}
         self.ended = dict(self._ended)
         self.unknown = Unknown(self._unknown_samples, dict(self._unknown))
+        self._shown()

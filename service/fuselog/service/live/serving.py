@@ -9,17 +9,17 @@ from socket import socket
 from fuselog.fusion import Plan
 from fuselog.fusion.config import Problem
 from fuselog.schemas import FuselogError
+from fuselog.service.front.channel import Setup
+from fuselog.service.front.front import Front
 from fuselog.service.live.fleet import Fleet
 from fuselog.service.live.group import make_group
 from fuselog.service.live.standby import Standby
-from fuselog.service.page.page import add_page
-from fuselog.service.rest.app import create_app
-from fuselog.service.rest.http import Entrance, HttpServer, allowed_hosts, bind
-from fuselog.service.threads import Worker, WorkerError
+from fuselog.service.rest.audit import audited
+from fuselog.service.rest.http import Entrance, bind
+from fuselog.service.threads import WorkerError
 from fuselog.service.transport import open_session, service_endpoints
 
 _CONNECT_S = 10.0
-_HTTP_S = 5.0  # for answers under way at the end
 _TEND_S = 1.0  # at most between two looks at what may wait for a disk
 _SWITCH_S = 0.0005  # a thread of the network waits for the interpreter as long as this where another computes
 _SHARED = ("zenoh", "http")  # what a service has once: said in the first configuration
@@ -50,22 +50,22 @@ def serve(
     entrance = Entrance(http, first.source, behind_proxy=behind_proxy)
     with bind(http.host, http.port) as listener:
         served = Standby(entrance)
-        app = create_app(
+        front = Front(
             served,
+            listener,
+            Setup(http, first.source, behind_proxy=behind_proxy, audited=audited()),
             alive=lambda: served.alive,
             ready=lambda: served.ready and not stop.is_set(),
-            access=entrance.access,
-            hosts=allowed_hosts(http),
-            streams=http.streams,
-            page=add_page,
+            say=say,
+            ended=stop.set,
         )
-        server = HttpServer(app, listener, tls=entrance.tls)
-        answering = Worker("HTTP server", server.run, stop.set)
+        served.renew = front.renew
         try:
             with open_session(service_endpoints(first.config.zenoh, first.source), timeout_s=_CONNECT_S) as session:
-                fleet = Fleet(groups, session, ended=stop.set, snapshot=snapshot)
+                fleet = Fleet(groups, session, ended=stop.set, snapshot=snapshot, shown=front.soon)
                 served.fleet = fleet
                 gc.freeze()  # walking all that is loaded would hold up samples for a tenth of a second
+                front.wait()
                 started(_address(listener, "http" if entrance.tls is None else "https"))
                 every_s = _tend_every_s(plans)
                 while not stop.wait(every_s):
@@ -75,10 +75,9 @@ def serve(
                         say("; ".join(_reloaded(served)))
                 fleet.finish()
         finally:
-            server.stop()
-            answering.join(_HTTP_S)
-        if answering.error is not None:
-            raise WorkerError(answering) from answering.error
+            front.finish()
+        if front.worker.error is not None:
+            raise WorkerError(front.worker) from front.worker.error
 
 
 def _reloaded(served: Standby) -> list[str]:

@@ -1,10 +1,11 @@
 """The fleet as the REST interface sees it, from before it is there."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 from fuselog.fusion import Estimate
 from fuselog.fusion.commands import Command
+from fuselog.fusion.health import Recent
 from fuselog.replay.recording import RecordingStatus
 from fuselog.service.live.fleet import Fleet
 from fuselog.service.live.member import Snapshot
@@ -17,8 +18,9 @@ class Standby:
     """``Served`` of no filters, until ``begin``."""
 
     def __init__(self, entrance: Entrance) -> None:
-        """``entrance``: what a reload reads again besides the configurations."""
+        """``entrance``: what a reload reads again besides the configurations; then ``renew`` is called."""
         self.fleet: Fleet | None = None
+        self.renew: Callable[[], None] = lambda: None
         self._entrance = entrance
 
     @property
@@ -39,6 +41,10 @@ class Standby:
         """The last of each that is gone."""
         return {} if self.fleet is None else self.fleet.ended()
 
+    def remembered(self, id: str) -> Recent:
+        """As ``Served``."""
+        return (self.snapshots().get(id) or self.ended()[id]).recent
+
     @property
     def unknown(self) -> Unknown:
         """As ``Served``."""
@@ -56,7 +62,10 @@ class Standby:
         """As ``Served``."""
         fresh = self._entrance.read_again()
         done = [] if self.fleet is None else self.fleet.reload()
-        return [*self._entrance.become(fresh), *done] or ["nothing has changed"]
+        renewed = self._entrance.become(fresh)
+        if renewed:
+            self.renew()
+        return [*renewed, *done] or ["nothing has changed"]
 
     def record(self, id: str, what: Literal["start", "stop", "snapshot"]) -> RecordingStatus:
         """As ``Served``."""

@@ -34,13 +34,14 @@ def create_app(
     hosts: Collection[str] | None = LOOPBACK,
     streams: int = 64,
     page: Callable[[FastAPI], None] | None = None,
+    process: int | None = None,
 ) -> FastAPI:
     """The interface over ``served``.
 
     ``alive``: the threads of the filters turn. ``ready``: compiled and connected. ``access``: who may do what; by
     default everybody may read and nobody change. Requests for other ``hosts`` than these are refused, so that no page
     of the web reads this through a name of its own; None allows all. ``streams``: most clients of the stream.
-    ``page`` adds what is shown at ``/``.
+    ``page`` adds what is shown at ``/``. ``process``: whose figures are among the metrics, by default this one's.
     """
     traffic, shown, waiting = Traffic(), Shown(served), Waiting()
     app = FastAPI(
@@ -60,7 +61,7 @@ def create_app(
     add_control(app, shown, waiting)
     add_players(app, served, waiting)
     add_stream(app, app.state.streams)
-    add_metrics(app, [FilterMetrics(shown, traffic)])
+    add_metrics(app, [FilterMetrics(shown, traffic)], process)
     if page is not None:
         page(app)
     app.add_middleware(Guard, access=access or Access(), hosts=hosts, traffic=traffic)

@@ -42,6 +42,11 @@ class Audit:
         _LOG.info(json.dumps(line))
 
 
+def audited() -> bool:
+    """Whether the lines can be seen."""
+    return bool(_LOG.handlers)
+
+
 def audit_to_stderr() -> None:
     """Let the lines be seen."""
     handler = logging.StreamHandler(sys.stderr)

@@ -1,5 +1,6 @@
 """Reading: health, state, sensors, samples, ledger and configuration of filters, all from snapshots."""
 
+from dataclasses import replace
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -10,6 +11,7 @@ from fuselog.fusion import Decision, Estimate
 from fuselog.fusion.commands import CommandError
 from fuselog.fusion.config import GainSettings
 from fuselog.fusion.report import steady_gains
+from fuselog.service.live.member import Snapshot
 from fuselog.service.rest.answers import (
     FilterAnswer,
     FiltersAnswer,
@@ -48,7 +50,7 @@ from fuselog.service.rest.problems import Refused, documented
 from fuselog.service.rest.shown import Shown, whole
 from fuselog.service.rest.waiting import Waiting
 
-_ESTIMATE_S = 5.0
+_ANSWER_S = 5.0
 _NOT_CHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "As If-None-Match says"}}
 
 _DECISIONS = "|".join(decision.name.lower() for decision in Decision)
@@ -81,8 +83,8 @@ def add_filters(app: FastAPI, shown: Shown, waiting: Waiting) -> None:
     """What can be read of filters."""
     _add_all(app, shown)
     _add_estimates(app, shown, waiting)
-    _add_samples(app, shown)
-    _add_settings(app, shown)
+    _add_samples(app, shown, waiting)
+    _add_settings(app, shown, waiting)
 
 
 def _add_all(app: FastAPI, shown: Shown) -> None:
@@ -162,14 +164,24 @@ def _add_estimates(app: FastAPI, shown: Shown, waiting: Waiting) -> None:
 
 async def _estimate_at(shown: Shown, waiting: Waiting, id: str, t_ns: int) -> Estimate:
     try:
-        return await waiting.run(lambda: shown.served.estimate_at(id, t_ns), within_s=_ESTIMATE_S)
+        return await waiting.run(lambda: shown.served.estimate_at(id, t_ns), within_s=_ANSWER_S)
     except KeyError:
         raise Refused(409, f"the filter {id!r} has ended; only its newest estimate is known") from None
     except CommandError as error:
         raise Refused(409, str(error)) from None
 
 
-def _add_samples(app: FastAPI, shown: Shown) -> None:
+async def _with_samples(shown: Shown, waiting: Waiting, id: str) -> Snapshot:
+    """A snapshot with the samples that are remembered; raises ``Refused`` (404)."""
+    snapshot = shown.snapshot(id)
+    try:
+        recent = await waiting.run(lambda: shown.served.remembered(id), within_s=_ANSWER_S)
+    except KeyError:
+        raise Refused(404, f"the filter {id!r} has been forgotten meanwhile") from None
+    return replace(snapshot, recent=recent)
+
+
+def _add_samples(app: FastAPI, shown: Shown, waiting: Waiting) -> None:
     @app.get(
         "/api/v1/filters/{id}/sensors",
         tags=["sensors"],
@@ -208,9 +220,9 @@ def _add_samples(app: FastAPI, shown: Shown) -> None:
         before: Before = None,
     ) -> Response:
         """What became of the last samples, the newest first."""
-        snapshot = shown.snapshot(id)
         if sensor is not None:
-            sensor_of(snapshot, sensor)
+            sensor_of(shown.snapshot(id), sensor)
+        snapshot = await _with_samples(shown, waiting, id)
         only = None if decision is None else Decision[decision.upper()]
         cursor = None if before is None else read_cursor(before)
         return answer(list_decisions(snapshot, sensor=sensor, decision=only, limit=limit, before=cursor))
@@ -224,10 +236,10 @@ def _add_samples(app: FastAPI, shown: Shown) -> None:
     )
     async def explain_one(id: FilterId, name: SensorName, seq: Sequence) -> Response:  # pyright: ignore[reportUnusedFunction]  the same
         """What became of one sample, and why."""
-        return answer(explain(shown.snapshot(id), name, seq))
+        return answer(explain(await _with_samples(shown, waiting, id), name, seq))
 
 
-def _add_settings(app: FastAPI, shown: Shown) -> None:
+def _add_settings(app: FastAPI, shown: Shown, waiting: Waiting) -> None:
     @app.get(
         "/api/v1/filters/{id}/config",
         tags=["configuration"],
@@ -262,7 +274,7 @@ def _add_settings(app: FastAPI, shown: Shown) -> None:
     )
     async def filter_snapshot(id: FilterId) -> Response:  # pyright: ignore[reportUnusedFunction]  the same
         """Everything that is known of a filter, for a report of a defect."""
-        snapshot = shown.snapshot(id)
+        snapshot = await _with_samples(shown, waiting, id)
         return answer(
             {"version": version("fuselog"), "text": shown_text(snapshot.plan.source), "snapshot": whole(snapshot)}
         )

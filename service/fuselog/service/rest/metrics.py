@@ -167,12 +167,12 @@ def _add(
     family.samples[tuple(labels.values())] = float(value)
 
 
-def add_metrics(app: FastAPI, collectors: Iterable[Collector]) -> None:
-    """``/metrics`` in the text format of Prometheus, with the figures of the process."""
+def add_metrics(app: FastAPI, collectors: Iterable[Collector], process: int | None = None) -> None:
+    """``/metrics`` in the text format of Prometheus, with the figures of a process, by default of this one."""
     registry = CollectorRegistry(auto_describe=False)
     for collector in collectors:
         registry.register(collector)
-    ProcessCollector(registry=registry)
+    ProcessCollector(pid=lambda: "self" if process is None else process, registry=registry)
     PlatformCollector(registry=registry)
 
     @app.get(

@@ -5,6 +5,7 @@ from typing import Any, Literal, Protocol
 
 from fuselog.fusion import Estimate
 from fuselog.fusion.commands import Command
+from fuselog.fusion.health import Recent
 from fuselog.replay.recording import RecordingStatus
 from fuselog.service.live.member import Snapshot
 from fuselog.service.live.runner import Unknown
@@ -14,11 +15,18 @@ class Served(Protocol):
     """The filters of a service. Methods may be called on any thread; those that wait say so."""
 
     def snapshots(self) -> Mapping[str, Snapshot]:
-        """The newest snapshot of every filter, by id."""
+        """The newest snapshot of every filter, by id; without its samples, where these are elsewhere."""
         ...
 
     def ended(self) -> Mapping[str, Snapshot]:
         """The last snapshot of filters that expired, by id."""
+        ...
+
+    def remembered(self, id: str) -> Recent:
+        """The last samples of every sensor of a filter, also of one that ended, by rank; may wait.
+
+        Raises ``KeyError`` for an unknown filter.
+        """
         ...
 
     @property
