@@ -34,7 +34,7 @@ class Sample:
 def arrival(key: int, payload: bytes, tag: Tag | None = None, *, media: str = "good", at_ns: int = 5 * S) -> Numbered:
     """A sample as a filter takes it."""
     sample = Sample(payload, media, None if tag is None else write_tag(tag))
-    return Numbered(key, cast(zenoh.Sample, cast(Any, sample)), at_ns, at_ns)
+    return key, cast(zenoh.Sample, cast(Any, sample)), at_ns, at_ns
 
 
 def identify(key: str, media: str) -> int | str:

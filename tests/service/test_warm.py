@@ -35,7 +35,7 @@ payloads = [encoder.encode(np.array([t]), np.ones((1, 1)))[0].tobytes() for t in
 filter = Filter(plan, order="as_received")
 filter.intake.open(0, Stream(topic="odom", encoding="cdr", schema_name=kind, schema_encoding="ros2msg",
                              schema_text=definition(kind)))
-track = filter.feed(Batch([(0, t, t, 1 + k) for k, t in enumerate(times)], payloads).messages())
+track = filter.feed(Batch([0] * len(times), times, times, list(range(1, 1 + len(times))), payloads).messages())
 beside = filter.beside()
 Outputs(plan).encode(track, beside)
 recent = remember(no_samples(plan), [seen(track)])

@@ -30,6 +30,11 @@ class KeyPattern:
         return "/".join("*" if _CAPTURE.fullmatch(chunk) else _CAPTURE.sub("$*", chunk) for chunk in chunks)
 
     @property
+    def key(self) -> str:
+        """The one key; empty where there are captures."""
+        return "" if self.names else self.expression
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The captures, in the order of the names."""
         return tuple(sorted(set(_CAPTURE.findall(self.topic))))

@@ -6,29 +6,29 @@ import numpy as np
 
 from fuselog.schemas import Messages, pack
 
-Row = tuple[int, int, int, int]  # stream, when received, when published (ns), number
-
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Rows, and the payload of each."""
+    """Samples as columns; who adds one adds to each of them."""
 
-    rows: list[Row] = field(default_factory=list[Row])
+    streams: list[int] = field(default_factory=list[int])
+    received: list[int] = field(default_factory=list[int])  # ns
+    published: list[int] = field(default_factory=list[int])  # ns
+    numbers: list[int] = field(default_factory=list[int])
     payloads: list[bytes] = field(default_factory=list[bytes])
 
     def __len__(self) -> int:
-        return len(self.rows)
+        return len(self.payloads)
 
     def messages(self) -> Messages:
         """All of it."""
-        table = np.array(self.rows, np.int64).reshape(-1, 4)
         data, start, length = pack(self.payloads)
         return Messages(
-            stream=table[:, 0].astype(np.int32),
+            stream=np.array(self.streams, np.int32),
             data=data,
             start=start,
             length=length,
-            log_time=table[:, 1].copy(),
-            publish_time=table[:, 2].copy(),
-            sequence=table[:, 3].copy(),
+            log_time=np.array(self.received, np.int64),
+            publish_time=np.array(self.published, np.int64),
+            sequence=np.array(self.numbers, np.int64),
         )

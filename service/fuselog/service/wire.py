@@ -27,10 +27,15 @@ def write_tag(tag: Tag) -> bytes:
 
 def read_tag(attachment: bytes) -> Tag:
     """The tag in an attachment, ``UNTAGGED`` when it is of another form."""
+    return Tag(*tag_fields(attachment))
+
+
+def tag_fields(attachment: bytes) -> tuple[int, int, bytes]:
+    """The same as a plain tuple, which takes half the time."""
     if len(attachment) != _ATTACHMENT.size or attachment[16] != _GID_BYTES:
         return UNTAGGED
     sequence, t_ns, _, source = _ATTACHMENT.unpack(attachment)
-    return Tag(sequence, t_ns, source)
+    return sequence, t_ns, source
 
 
 def media_type(encoding: str, schema_name: str) -> str:

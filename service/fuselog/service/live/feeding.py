@@ -32,7 +32,7 @@ class Feeding:
                     self._together[shape] = Together(filters[0].plan)
                 shares = self._together[shape].feed(filters, messages, spans)
             for member, share, encoded in zip(members, shares, _written(members, shares), strict=True):
-                member.give(share, encoded, since_ns=batches[member][0].since_ns)
+                member.give(share, encoded, since_ns=batches[member][0][-1])
 
 
 def _written(members: Sequence[Member], shares: Sequence[Share]) -> Sequence[Messages | None]:

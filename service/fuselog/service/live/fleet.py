@@ -203,7 +203,8 @@ class Fleet:
             self._unsaved[id] = error.strerror or str(error)
 
     def _subscribe(self, number: int, group: Group, pattern: KeyPattern) -> Callable[[], None]:
-        take = partial(self._take, number, self._recorders.get(group))
+        recorder, put = self._recorders.get(group), partial(self._runner.inbox.put, number)
+        take = put if recorder is None else partial(_record_and_put, recorder, put)
         topics = {sensor.settings.topic: sensor.settings for sensor in group.plan.sensors}
         if pattern.topic in topics and topics[pattern.topic].reliable:
             missed = partial(self._miss, number)
@@ -213,12 +214,6 @@ class Fleet:
     def _miss(self, number: int, _publisher: str, count: int) -> None:
         """Samples that nobody has any more, on the network thread."""
         self._runner.missed[number] += count
-
-    def _take(self, number: int, recorder: FilterRecorder | None, sample: zenoh.Sample) -> None:
-        """A sample on the network thread; recorded first, for the filter may hold it up."""
-        if recorder is not None:
-            recorder.put(sample)
-        self._runner.inbox.put(number, sample)
 
     def _progress(self, group: Group, source: str) -> tuple[list[str], Mapping[str, Progress]]:
         """The keys of a group that one publisher (hexadecimal) feeds, and how far each is, after all that has come."""
@@ -261,6 +256,12 @@ def _recorder(group: Group, session: zenoh.Session, snapshot: threading.Event) -
         return None
     types = stream_types({sensor.settings.topic: sensor.settings.type for sensor in group.plan.sensors})
     return FilterRecorder(settings, session, ByPattern(types), snapshot)
+
+
+def _record_and_put(recorder: FilterRecorder, put: Callable[[zenoh.Sample], None], sample: zenoh.Sample) -> None:
+    """A sample on the network thread; recorded first, for the filter may hold it up."""
+    recorder.put(sample)
+    put(sample)
 
 
 def _saved(group: Group, id: str) -> bytes | None:

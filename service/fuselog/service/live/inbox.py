@@ -11,13 +11,8 @@ import zenoh
 _MOST_KEYS = 1000  # whose shed samples are counted apart
 
 
-class Arrival(NamedTuple):
-    """A sample, the number of the subscription on which it came, and when it came: by the clock, and monotonic (ns)."""
-
-    subscription: int
-    sample: zenoh.Sample
-    arrival_ns: int
-    since_ns: int
+# The number of the subscription on which a sample came, the sample, and when it came: by the clock, and monotonic (ns).
+Arrival = tuple[int, zenoh.Sample, int, int]
 
 
 class Request(NamedTuple):
@@ -65,7 +60,7 @@ class Inbox:
             elif not self._fits(size) and not self._wait_for_room(size):
                 _count(self.shed, subscription, sample)
             else:
-                self._add(Arrival(subscription, sample, time.time_ns(), time.monotonic_ns()), size)
+                self._add((subscription, sample, time.time_ns(), time.monotonic_ns()), size)
 
     def ask(self, do: Callable[[], None]) -> None:
         """Have something done in turn; there is always room for it."""

@@ -52,6 +52,7 @@ class Runner:
         self._subscriptions: list[tuple[Group, KeyPattern]] = [
             (group, pattern) for group in groups for pattern in group.patterns
         ]
+        self._keys = [pattern.key for _, pattern in self._subscriptions]
         self._members: dict[str, Member] = {}
         self._ids: dict[tuple[Group, Captures], str] = {}
         self._routes: dict[tuple[int, str], list[Target]] = {}
@@ -155,13 +156,13 @@ class Runner:
                 item.do()
                 continue
             subscription, sample, arrival_ns, since_ns = item
-            route = subscription, str(sample.key_expr)
+            route = subscription, self._keys[subscription] or str(sample.key_expr)
             targets = self._routes.get(route) or self._find(*route)
             for member, key in targets:
                 samples = batches.get(member)
                 if samples is None:
                     samples = batches[member] = []
-                samples.append(Numbered(key, sample, arrival_ns, since_ns))
+                samples.append((key, sample, arrival_ns, since_ns))
         self._feed(batches)
 
     def _feed(self, batches: dict[Member, list[Numbered]]) -> None:

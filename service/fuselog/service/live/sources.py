@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import zenoh
 
 from fuselog.service.batch import Batch
-from fuselog.service.wire import UNTAGGED, Tag, read_tag
+from fuselog.service.wire import UNTAGGED, tag_fields
 
 _MOST_SOURCES = 4096
 _ASK_AGAIN_NS = 2_000_000_000
@@ -15,13 +15,8 @@ _ASK_AGAIN_NS = 2_000_000_000
 Identify = Callable[[str, str], int | str]
 
 
-class Numbered(NamedTuple):
-    """A sample, the number of its key, and when it came: by the clock, and monotonic (ns)."""
-
-    key: int
-    sample: zenoh.Sample
-    arrival_ns: int
-    since_ns: int
+# The number of the key of a sample, the sample, and when it came: by the clock, and monotonic (ns).
+Numbered = tuple[int, zenoh.Sample, int, int]
 
 
 class Progress(NamedTuple):
@@ -39,6 +34,7 @@ class Progress(NamedTuple):
 class _Source:
     """One publisher of one key and type."""
 
+    encoding: zenoh.Encoding
     stream: int | None
     asked_ns: int
     received: int = 0
@@ -61,22 +57,29 @@ class Sources:
         self.reasons = [""] * len(keys)
         self._identify = identify
         self._sources: dict[tuple[int, str, bytes], _Source] = {}
+        self._latest: dict[tuple[int, bytes], _Source] = {}  # by key and publisher, whose type seldom changes
 
     def collect(self, arrivals: Sequence[Numbered], batch: Batch) -> None:
         """Put the samples that can be used into a batch, in the order in which they came."""
         for key, sample, arrival_ns, since_ns in arrivals:
-            attachment = sample.attachment
-            tag = UNTAGGED if attachment is None else read_tag(attachment.to_bytes())
-            source = self._source(key, str(sample.encoding), tag, since_ns)
+            attachment, encoding = sample.attachment, sample.encoding
+            sequence, t_ns, gid = UNTAGGED if attachment is None else tag_fields(attachment.to_bytes())
+            source = self._latest.get((key, gid))
+            if source is None or source.stream is None or source.encoding != encoding:
+                source = self._source(key, encoding, gid, since_ns)
+            source.received += 1
+            if sequence == source.last + 1 and not source.floor:
+                source.last = sequence
+            elif not self._is_new(source, key, sequence):
+                continue
             if source.stream is None:
                 self.unknown[key] += 1
                 continue
-            if 0 < tag.sequence <= source.floor:
-                source.repeated += 1
-                continue
-            source.floor = 0
-            t_ns = tag.t_ns if tag.t_ns > 0 else arrival_ns
-            batch.rows.append((source.stream, t_ns, t_ns, max(tag.sequence, 0)))
+            t_ns = t_ns if t_ns > 0 else arrival_ns
+            batch.streams.append(source.stream)
+            batch.received.append(t_ns)
+            batch.published.append(t_ns)
+            batch.numbers.append(sequence if sequence > 0 else 0)
             batch.payloads.append(sample.payload.to_bytes())
 
     def save(self) -> list[list[Any]]:
@@ -91,7 +94,8 @@ class Sources:
         """Go on from there: what a publisher sent up to then has been taken, and what is missing since is missed."""
         for key, media, gid, stream, last in saved:
             number = self.keys.index(key)
-            self._sources[number, media, bytes.fromhex(gid)] = _Source(stream, 0, last=last, floor=last)
+            source = _Source(zenoh.Encoding(media), stream, 0, last=last, floor=last)
+            self._sources[number, media, bytes.fromhex(gid)] = source
 
     def progress(self) -> dict[str, dict[str, Progress]]:
         """By publisher (hexadecimal) and key."""
@@ -104,23 +108,33 @@ class Sources:
             )
         return table
 
-    def _source(self, key: int, media: str, tag: Tag, now_ns: int) -> _Source:
-        """The source of a sample, which is counted with it."""
-        identity = (key, media, tag.source)
-        source = self._sources.get(identity)
+    def _source(self, key: int, encoding: zenoh.Encoding, gid: bytes, now_ns: int) -> _Source:
+        """The source of a sample."""
+        media = str(encoding)
+        source = self._sources.get((key, media, gid))
         if source is None:
             if len(self._sources) >= _MOST_SOURCES:
-                del self._sources[next(iter(self._sources))]
-            source = self._sources[identity] = _Source(self._learn(key, media), now_ns)
+                number, _, publisher = first = next(iter(self._sources))
+                del self._sources[first]
+                self._latest.pop((number, publisher), None)
+            source = self._sources[key, media, gid] = _Source(encoding, self._learn(key, media), now_ns)
         elif source.stream is None and now_ns - source.asked_ns > _ASK_AGAIN_NS:
             source.stream, source.asked_ns = self._learn(key, media), now_ns
-        source.received += 1
-        if source.last and tag.sequence > source.last + 1:
-            gap = tag.sequence - source.last - 1
+        self._latest[key, gid] = source
+        return source
+
+    def _is_new(self, source: _Source, key: int, sequence: int) -> bool:
+        """Account for a number that is not the next one -> whether the sample was not taken before a restart."""
+        if source.last and sequence > source.last + 1:
+            gap = sequence - source.last - 1
             source.missed += gap
             self.missed[key] += gap
-        source.last = max(source.last, tag.sequence)
-        return source
+        source.last = max(source.last, sequence)
+        if 0 < sequence <= source.floor:
+            source.repeated += 1
+            return False
+        source.floor = 0
+        return True
 
     def _learn(self, key: int, media: str) -> int | None:
         found = self._identify(self.keys[key], media)

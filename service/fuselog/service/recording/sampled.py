@@ -77,7 +77,10 @@ class SampledStreams:
                 self._recording.drop(stream.topic, "limit")
                 continue
             published = tag.t_ns if tag.t_ns > 0 else sent_ns(sample) or arrival_ns
-            batch.rows.append((stream.channel, arrival_ns, published, max(tag.sequence, 0)))
+            batch.streams.append(stream.channel)
+            batch.received.append(arrival_ns)
+            batch.published.append(published)
+            batch.numbers.append(max(tag.sequence, 0))
             batch.payloads.append(sample.payload.to_bytes())
         return batch.messages()
 
