@@ -99,6 +99,17 @@ def test_unknown_types_are_counted_and_asked_again() -> None:
     assert (sources.unknown, sources.reasons, len(asked)) == ([3], [""], 2)
 
 
+def test_two_types_under_one_name() -> None:
+    """One of them cannot be used; the other's samples are taken all the same, and the numbers of each are its own."""
+    sources = Sources(["k0"], identify)
+    taken = [
+        len(batched(sources, [arrival(0, b"x", Tag(sequence, S, A), media=media)]))
+        for sequence, media in [(1, "good"), (2, "good"), (1, "bad"), (2, "bad"), (3, "bad"), (3, "good"), (4, "good")]
+    ]
+    assert taken == [1, 1, 0, 0, 0, 1, 1]
+    assert (sources.unknown, sources.missed) == ([3], [0])
+
+
 def test_sources_are_bounded() -> None:
     """Ever new publishers do not fill the memory."""
     sources = Sources(["k0"], identify)

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.schemas.compiled import copy, inline, kernel, store
+from fuselog.schemas.compiled import copy, kernel, leaf, store
 from fuselog.schemas.tree import KINDS
 
 WRITTEN: Final = -1000
@@ -53,7 +53,7 @@ def write_messages(
     return _WRITTEN
 
 
-@inline
+@leaf
 def put_number(data: NDArray[np.uint8], at: int, value: float, kind: int) -> bool:
     """Store a number that is no float64; whether its field can hold it."""
     if kind == _FLOAT32:
@@ -71,7 +71,7 @@ def put_number(data: NDArray[np.uint8], at: int, value: float, kind: int) -> boo
     return True
 
 
-@inline
+@leaf
 def put_whole(data: NDArray[np.uint8], at: int, value: int, kind: int) -> bool:
     """Store a whole number; whether its field can hold it."""
     bits = 8 << (kind >> 2)

@@ -25,7 +25,7 @@ from fuselog.fusion.kernel.rotations import (
 from fuselog.fusion.kernel.tables import SAMPLE_WIDTH, Role
 from fuselog.fusion.plan import SensorPlan
 from fuselog.fusion.plan.readings import BEACON, FIELD, Part, Shape
-from fuselog.schemas.compiled import inline, kernel
+from fuselog.schemas.compiled import kernel, leaf
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -213,7 +213,7 @@ def bind_rows(
         fault[row] = judge(recipe, t_ns[row], z[row], R[row], L)
 
 
-@inline
+@leaf
 def read_part(
     recipe: Recipe,
     row: Row,
@@ -249,7 +249,7 @@ def read_part(
             full[s + i] = row[c + i]
 
 
-@inline
+@leaf
 def gather(recipe: Recipe, row: Row, C: Row) -> None:
     """The covariance of all quantities as the message has it; 0 where it has none."""
     for i in range(len(C)):
@@ -257,14 +257,14 @@ def gather(recipe: Recipe, row: Row, C: Row) -> None:
             C[i, j] = stated(recipe, row, i, j)
 
 
-@inline
+@leaf
 def stated(recipe: Recipe, row: Row, i: int, j: int) -> float:
     """The covariance of two quantities as the message states it; 0 where it does not."""
     column = recipe.covariance[i, j]
     return row[column] if column >= 0 else 0.0
 
 
-@inline
+@leaf
 def convert(recipe: Recipe, row: Row, full: Row, C: Row, half: Row, matrix: Row, turned: bool, T: Row) -> None:
     """C = J C J', where J makes the message's errors those of the quantities, part by part: rows, then columns."""
     for part in range(len(recipe.shape)):
@@ -289,7 +289,7 @@ def convert(recipe: Recipe, row: Row, full: Row, C: Row, half: Row, matrix: Row,
                 C[i, s + j] = half[i, s + j]
 
 
-@inline
+@leaf
 def put_change(recipe: Recipe, row: Row, full: Row, part: int, matrix: Row, turned: bool, T: Row) -> int:
     """How the errors of one part's quantities follow from the message's, into T; returns its order, 0 for the same.
 
@@ -305,12 +305,14 @@ def put_change(recipe: Recipe, row: Row, full: Row, part: int, matrix: Row, turn
         T[0, 0] = height_slope(row[recipe.column[part]])
         return 1
     if turned and (recipe.shape[part] == VECTOR or recipe.shape[part] == ORIENTATION):
-        T[:, :] = matrix
+        for i in range(3):
+            for j in range(3):
+                T[i, j] = matrix[i, j]
         return 3
     return 0
 
 
-@inline
+@leaf
 def noise(recipe: Recipe, i: int, j: int, entry: float) -> float:
     """One entry of R: the configured variance, or the message's, inflated, floored and scaled with the value."""
     if not math.isnan(recipe.fixed[i, j]):
@@ -326,7 +328,7 @@ def noise(recipe: Recipe, i: int, j: int, entry: float) -> float:
     return 0.0
 
 
-@inline
+@leaf
 def judge(recipe: Recipe, t: int, z: Row, R: Row, L: Row) -> int:
     """Whether a sample can be used: a stamp after 1970, finite numbers, a positive definite covariance."""
     if t <= 0:
@@ -343,7 +345,7 @@ def judge(recipe: Recipe, t: int, z: Row, R: Row, L: Row) -> int:
     return GOOD if positive and (not coupled or positive_definite(R, L, m)) else COVARIANCE
 
 
-@inline
+@leaf
 def positive_definite(R: Row, L: Row, m: int) -> bool:
     """By the pivots of its Cholesky factor, left in L."""
     for i in range(m):

@@ -34,7 +34,6 @@ class Progress(NamedTuple):
 class _Source:
     """One publisher of one key and type."""
 
-    encoding: zenoh.Encoding
     stream: int | None
     asked_ns: int
     received: int = 0
@@ -57,26 +56,24 @@ class Sources:
         self.reasons = [""] * len(keys)
         self._identify = identify
         self._sources: dict[tuple[int, str, bytes], _Source] = {}
-        self._latest: dict[tuple[int, bytes], _Source] = {}  # by key and publisher, whose type seldom changes
+        self._flowing: dict[tuple[int, bytes], _Source] = {}  # by key and publisher, those of which something came
 
     def collect(self, arrivals: Sequence[Numbered], batch: Batch) -> None:
         """Put the samples that can be used into a batch, in the order in which they came."""
         for key, sample, arrival_ns, since_ns in arrivals:
-            attachment, encoding = sample.attachment, sample.encoding
+            attachment = sample.attachment
             sequence, t_ns, gid = UNTAGGED if attachment is None else tag_fields(attachment.to_bytes())
-            source = self._latest.get((key, gid))
-            if source is None or source.stream is None or source.encoding != encoding:
-                source = self._source(key, encoding, gid, since_ns)
-            source.received += 1
-            if sequence == source.last + 1 and not source.floor:
+            source = self._flowing.get((key, gid))  # a publisher that goes on counting sends what it sent before
+            if source is not None and sequence == source.last + 1:
+                source.received += 1
                 source.last = sequence
-            elif not self._is_new(source, key, sequence):
-                continue
-            if source.stream is None:
-                self.unknown[key] += 1
+                stream = source.stream
+            else:
+                stream = self._open(key, str(sample.encoding), sequence, gid, since_ns)
+            if stream is None:
                 continue
             t_ns = t_ns if t_ns > 0 else arrival_ns
-            batch.streams.append(source.stream)
+            batch.streams.append(stream)
             batch.received.append(t_ns)
             batch.published.append(t_ns)
             batch.numbers.append(sequence if sequence > 0 else 0)
@@ -94,7 +91,7 @@ class Sources:
         """Go on from there: what a publisher sent up to then has been taken, and what is missing since is missed."""
         for key, media, gid, stream, last in saved:
             number = self.keys.index(key)
-            source = _Source(zenoh.Encoding(media), stream, 0, last=last, floor=last)
+            source = _Source(stream, 0, last=last, floor=last)
             self._sources[number, media, bytes.fromhex(gid)] = source
 
     def progress(self) -> dict[str, dict[str, Progress]]:
@@ -108,33 +105,38 @@ class Sources:
             )
         return table
 
-    def _source(self, key: int, encoding: zenoh.Encoding, gid: bytes, now_ns: int) -> _Source:
-        """The source of a sample."""
-        media = str(encoding)
-        source = self._sources.get((key, media, gid))
-        if source is None:
-            if len(self._sources) >= _MOST_SOURCES:
-                number, _, publisher = first = next(iter(self._sources))
-                del self._sources[first]
-                self._latest.pop((number, publisher), None)
-            source = self._sources[key, media, gid] = _Source(encoding, self._learn(key, media), now_ns)
-        elif source.stream is None and now_ns - source.asked_ns > _ASK_AGAIN_NS:
-            source.stream, source.asked_ns = self._learn(key, media), now_ns
-        self._latest[key, gid] = source
-        return source
-
-    def _is_new(self, source: _Source, key: int, sequence: int) -> bool:
-        """Account for a number that is not the next one -> whether the sample was not taken before a restart."""
+    def _open(self, key: int, media: str, sequence: int, gid: bytes, now_ns: int) -> int | None:
+        """Account for a sample that does not go on from one before -> its stream; None for one that is not taken."""
+        source = self._source(key, media, gid, now_ns)
+        source.received += 1
         if source.last and sequence > source.last + 1:
             gap = sequence - source.last - 1
             source.missed += gap
             self.missed[key] += gap
         source.last = max(source.last, sequence)
+        if source.stream is None:
+            self.unknown[key] += 1
+            self._flowing.pop((key, gid), None)
+            return None
         if 0 < sequence <= source.floor:
             source.repeated += 1
-            return False
+            return None
         source.floor = 0
-        return True
+        self._flowing[key, gid] = source
+        return source.stream
+
+    def _source(self, key: int, media: str, gid: bytes, now_ns: int) -> _Source:
+        """The source of a sample."""
+        source = self._sources.get((key, media, gid))
+        if source is None:
+            if len(self._sources) >= _MOST_SOURCES:
+                number, _, publisher = first = next(iter(self._sources))
+                del self._sources[first]
+                self._flowing.pop((number, publisher), None)
+            source = self._sources[key, media, gid] = _Source(self._learn(key, media), now_ns)
+        elif source.stream is None and now_ns - source.asked_ns > _ASK_AGAIN_NS:
+            source.stream, source.asked_ns = self._learn(key, media), now_ns
+        return source
 
     def _learn(self, key: int, media: str) -> int | None:
         found = self._identify(self.keys[key], media)
