@@ -264,8 +264,9 @@ def test_only_what_changed_is_told(robot: Robot) -> None:
 
 
 def test_a_process_that_tells_nothing_is_not_alive(monkeypatch: pytest.MonkeyPatch) -> None:
-    mirror = Mirror(Channel(Pipe()[0]))
-    assert mirror.alive
-    now = time.monotonic()
-    monkeypatch.setattr(time, "monotonic", lambda: now + 11)
-    assert not mirror.alive
+    mirror, now = Mirror(Channel(Pipe()[0])), time.monotonic()
+    found: list[tuple[bool, bool]] = []
+    for later in (0, 3, 11):
+        monkeypatch.setattr(time, "monotonic", lambda later=later: now + later)
+        found.append((mirror.current, mirror.alive))
+    assert found == [(True, True), (False, True), (False, False)]

@@ -16,7 +16,8 @@ from fuselog.service.front.channel import Channel, Heard, News, Question, Renew,
 from fuselog.service.live.member import Snapshot
 from fuselog.service.live.runner import Unknown
 
-_STUCK_S = 10.0  # without news, the other process does not turn
+_OLD_S = 2.0  # without news, which there are every second, these are old
+_STUCK_S = 10.0  # and the other process does not turn
 
 
 class Mirror:
@@ -56,6 +57,11 @@ class Mirror:
     def alive(self) -> bool:
         """Whether the filters turn, and tell of it."""
         return self._alive and time.monotonic() - self._heard < _STUCK_S
+
+    @property
+    def current(self) -> bool:
+        """Whether what it shows is of now."""
+        return time.monotonic() - self._heard < _OLD_S
 
     @property
     def ready(self) -> bool:

@@ -49,6 +49,7 @@ def serve(listener: socket.socket, channel: Channel, setup: Setup) -> None:
         hosts=allowed_hosts(setup.http),
         streams=setup.http.streams,
         page=add_page,
+        current=lambda: mirror.current,
         process=os.getppid(),
     )
     server, ending = HttpServer(app, listener, tls=entrance.tls), threading.Event()

@@ -44,9 +44,13 @@ export class FilterList {
 
   /** Choose a filter. */
   select(id) {
+    this.#take(id);
+    this.list.querySelector("[aria-selected=true]")?.scrollIntoView({ block: "nearest" });
+  }
+
+  #take(id) {
     this.#chosen = id;
     this.#show();
-    this.list.querySelector("[aria-selected=true]")?.scrollIntoView({ block: "nearest" });
     this.choose(id);
   }
 
@@ -57,7 +61,8 @@ export class FilterList {
     );
     this.#count();
     this.#show();
-    if (this.#chosen === null && this.#filters.length) this.select(this.#filters[0][0]);
+    // It is at the top; and what is scrolled to is where the Tab key goes on from.
+    if (this.#chosen === null && this.#filters.length) this.#take(this.#filters[0][0]);
   }
 
   #go(index) {

@@ -34,6 +34,7 @@ def create_app(
     hosts: Collection[str] | None = LOOPBACK,
     streams: int = 64,
     page: Callable[[FastAPI], None] | None = None,
+    current: Callable[[], bool] = lambda: True,
     process: int | None = None,
 ) -> FastAPI:
     """The interface over ``served``.
@@ -41,7 +42,8 @@ def create_app(
     ``alive``: the threads of the filters turn. ``ready``: compiled and connected. ``access``: who may do what; by
     default everybody may read and nobody change. Requests for other ``hosts`` than these are refused, so that no page
     of the web reads this through a name of its own; None allows all. ``streams``: most clients of the stream.
-    ``page`` adds what is shown at ``/``. ``process``: whose figures are among the metrics, by default this one's.
+    ``page`` adds what is shown at ``/``. ``current``: ``served`` is of now; the stream is silent while it is not.
+    ``process``: whose figures are among the metrics, by default this one's.
     """
     traffic, shown, waiting = Traffic(), Shown(served), Waiting()
     app = FastAPI(
@@ -55,7 +57,7 @@ def create_app(
     app.add_exception_handler(RequestValidationError, answer_validation)
     app.add_exception_handler(Exception, answer_defect)
     app.state.traffic, app.state.pulse = traffic, Pulse()
-    app.state.streams = Streams(shown, traffic, most=streams)
+    app.state.streams = Streams(shown, traffic, current=current, most=streams)
     add_probes(app, alive=alive, ready=ready, pulse=app.state.pulse)
     add_filters(app, shown, waiting)
     add_control(app, shown, waiting)

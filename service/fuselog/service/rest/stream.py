@@ -29,9 +29,9 @@ class Streams:
     A client that does not read at all is dropped by the connection's own rule, see ``protocol``.
     """
 
-    def __init__(self, shown: Shown, traffic: Traffic, *, most: int) -> None:
+    def __init__(self, shown: Shown, traffic: Traffic, *, current: Callable[[], bool], most: int) -> None:
         self.closing = False
-        self._shown, self._traffic, self._most = shown, traffic, most
+        self._shown, self._traffic, self._current, self._most = shown, traffic, current, most
 
     def open(self, rate: float) -> EventSourceResponse:
         """A stream for one more client; raises ``Refused`` (503) when there are enough."""
@@ -47,7 +47,8 @@ class Streams:
         clock = asyncio.get_running_loop().time
         due = clock()
         while not self.closing:
-            yield b"event: health\r\ndata: " + self._shown.told() + b"\r\n\r\n"
+            if self._current():
+                yield b"event: health\r\ndata: " + self._shown.told() + b"\r\n\r\n"
             due = max(due + period_s, clock())
             while not self.closing and (left := due - clock()) > 0:
                 await asyncio.sleep(min(left, _LOOK_S))
