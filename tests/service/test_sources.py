@@ -1,6 +1,8 @@
 """Samples into batches: which stream, whose numbering, what is missed, and when the type is asked for again."""
 
 from collections.abc import Sequence
+from itertools import groupby
+from operator import itemgetter
 from typing import Any, cast
 
 import numpy as np
@@ -8,7 +10,8 @@ import zenoh
 
 from fuselog.schemas import Messages
 from fuselog.service.batch import Batch
-from fuselog.service.live.sources import Numbered, Progress, Sources
+from fuselog.service.live.inbox import Arrival
+from fuselog.service.live.sources import Progress, Sources
 from fuselog.service.wire import Tag, write_tag
 
 A, B = b"a" * 16, b"b" * 16
@@ -31,7 +34,7 @@ class Sample:
         self.attachment = None if attachment is None else Bytes(attachment)
 
 
-def arrival(key: int, payload: bytes, tag: Tag | None = None, *, media: str = "good", at_ns: int = 5 * S) -> Numbered:
+def arrival(key: int, payload: bytes, tag: Tag | None = None, *, media: str = "good", at_ns: int = 5 * S) -> Arrival:
     """A sample as a filter takes it."""
     sample = Sample(payload, media, None if tag is None else write_tag(tag))
     return key, cast(zenoh.Sample, cast(Any, sample)), at_ns, at_ns
@@ -42,10 +45,11 @@ def identify(key: str, media: str) -> int | str:
     return 7 + int(key[1:]) if media == "good" else f"{media} is not known"
 
 
-def batched(sources: Sources, arrivals: Sequence[Numbered]) -> Messages:
+def batched(sources: Sources, arrivals: Sequence[Arrival]) -> Messages:
     """The samples that can be used."""
     batch = Batch()
-    sources.collect(arrivals, batch)
+    runs = [(number, [*some]) for number, some in groupby(arrivals, key=itemgetter(0))]
+    sources.collect(runs, batch)
     return batch.messages()
 
 

@@ -7,7 +7,7 @@ from fuselog.fusion.track import Share, whole
 from fuselog.schemas import Messages
 from fuselog.service.batch import Batch
 from fuselog.service.live.member import Member
-from fuselog.service.live.sources import Numbered
+from fuselog.service.live.sources import Run
 
 
 class Feeding:
@@ -16,7 +16,7 @@ class Feeding:
     def __init__(self) -> None:
         self._together: dict[Hashable, Together] = {}
 
-    def feed(self, batches: Mapping[Member, Sequence[Numbered]]) -> None:
+    def feed(self, batches: Mapping[Member, Sequence[Run]]) -> None:
         """Fuse samples of each member, and give the results away."""
         alike: dict[Hashable, list[Member]] = {}
         for member in batches:
@@ -32,7 +32,13 @@ class Feeding:
                     self._together[shape] = Together(filters[0].plan)
                 shares = self._together[shape].feed(filters, messages, spans)
             for member, share, encoded in zip(members, shares, _written(members, shares), strict=True):
-                member.give(share, encoded, since_ns=batches[member][0][-1])
+                member.give(share, encoded, since_ns=_since_ns(batches[member]))
+
+
+def _since_ns(runs: Sequence[Run]) -> int:
+    """When the oldest sample came (monotonic)."""
+    _, arrivals = runs[0]
+    return arrivals[0][-1]
 
 
 def _written(members: Sequence[Member], shares: Sequence[Share]) -> Sequence[Messages | None]:

@@ -34,7 +34,7 @@ from fuselog.schemas import FuselogError, Messages
 from fuselog.service.batch import Batch
 from fuselog.service.live.group import Group
 from fuselog.service.live.outbox import Outbox
-from fuselog.service.live.sources import Numbered, Progress, Sources
+from fuselog.service.live.sources import Progress, Run, Sources
 from fuselog.service.streams import Learn, Streams, stream_types
 
 ESTIMATES_ALONE = {0}  # the streams of an outbox of which nothing else is wanted
@@ -101,10 +101,10 @@ class Member:
         """What the filter is called."""
         return self.filter.plan.config.id
 
-    def collect(self, arrivals: Sequence[Numbered], batch: Batch) -> slice:
+    def collect(self, runs: Sequence[Run], batch: Batch) -> slice:
         """Put samples of ``keys``, by their numbers, into a batch; returns where in it they are."""
         first = len(batch)
-        self._sources.collect(arrivals, batch)
+        self._sources.collect(runs, batch)
         self.last_arrival = time.monotonic()
         return slice(first, len(batch))
 

@@ -14,7 +14,7 @@ from fuselog.service.live.feeding import Feeding
 from fuselog.service.live.group import Group
 from fuselog.service.live.inbox import Arrival, Inbox, Request
 from fuselog.service.live.member import Member, Snapshot
-from fuselog.service.live.sources import Numbered
+from fuselog.service.live.sources import Run
 
 _WATCH_EVERY_S = 0.25  # from one judgement of a filter's health to the next while samples come
 _ATTEND_SHARE = 0.1  # of the time, most for all judgements then
@@ -149,23 +149,30 @@ class Runner:
 
     def _turn(self, arrivals: Sequence[Arrival | Request]) -> None:
         """Bring samples to their filters, several at once, and do what was asked at its place among them."""
-        batches: dict[Member, list[Numbered]] = {}
+        batches: dict[Member, list[Run]] = {}
+        run, of = list[Arrival](), -1  # the samples of a subscription to one key, while they come one after another
         for item in arrivals:
             if isinstance(item, Request):
                 self._feed(batches)
                 item.do()
+                of = -1
                 continue
-            subscription, sample, arrival_ns, since_ns = item
-            route = subscription, self._keys[subscription] or str(sample.key_expr)
-            targets = self._routes.get(route) or self._find(*route)
-            for member, key in targets:
-                samples = batches.get(member)
-                if samples is None:
-                    samples = batches[member] = []
-                samples.append((key, sample, arrival_ns, since_ns))
+            if item[0] != of:
+                run, of = self._begin_run(item, batches)
+            run.append(item)
         self._feed(batches)
 
-    def _feed(self, batches: dict[Member, list[Numbered]]) -> None:
+    def _begin_run(self, arrival: Arrival, batches: dict[Member, list[Run]]) -> tuple[list[Arrival], int]:
+        """Where a sample goes -> its run, and the subscription whose next samples go there too; -1 for none."""
+        subscription, sample, _, _ = arrival
+        only = self._keys[subscription]
+        route = subscription, only or str(sample.key_expr)
+        targets, run = self._routes.get(route) or self._find(*route), list[Arrival]()
+        for member, key in targets:
+            batches.setdefault(member, []).append((key, run))
+        return run, subscription if only and targets else -1
+
+    def _feed(self, batches: dict[Member, list[Run]]) -> None:
         self._feeding.feed(batches)
         self._stale.update(member.id for member in batches)
         batches.clear()

@@ -4,19 +4,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import zenoh
-
 from fuselog.service.batch import Batch
+from fuselog.service.live.inbox import Arrival
 from fuselog.service.wire import UNTAGGED, tag_fields
 
 _MOST_SOURCES = 4096
 _ASK_AGAIN_NS = 2_000_000_000
+_NONE = -1
 
 Identify = Callable[[str, str], int | str]
 
 
-# The number of the key of a sample, the sample, and when it came: by the clock, and monotonic (ns).
-Numbered = tuple[int, zenoh.Sample, int, int]
+Run = tuple[int, Sequence[Arrival]]  # the number of a key, and samples of it that came one after another
 
 
 class Progress(NamedTuple):
@@ -34,7 +33,7 @@ class Progress(NamedTuple):
 class _Source:
     """One publisher of one key and type."""
 
-    stream: int | None
+    stream: int  # _NONE where the type cannot be used
     asked_ns: int
     received: int = 0
     missed: int = 0
@@ -44,7 +43,7 @@ class _Source:
 
 
 class Sources:
-    """Knows every (key, type, publisher) that has sent anything; ``keys`` are numbered as ``Numbered`` numbers them.
+    """Knows every (key, type, publisher) that has sent anything; ``keys`` are numbered as a ``Run`` numbers them.
 
     A sample whose type cannot be used is counted in ``unknown``, and ``reasons`` says why.
     """
@@ -58,22 +57,27 @@ class Sources:
         self._sources: dict[tuple[int, str, bytes], _Source] = {}
         self._flowing: dict[tuple[int, bytes], _Source] = {}  # by key and publisher, those of which something came
 
-    def collect(self, arrivals: Sequence[Numbered], batch: Batch) -> None:
+    def collect(self, runs: Sequence[Run], batch: Batch) -> None:
         """Put the samples that can be used into a batch, in the order in which they came."""
-        for key, sample, arrival_ns, since_ns in arrivals:
+        for key, arrivals in runs:
+            self._collect(key, arrivals, batch)
+
+    def _collect(self, key: int, arrivals: Sequence[Arrival], batch: Batch) -> None:
+        source, of = None, None
+        for _, sample, arrival_ns, since_ns in arrivals:
             attachment = sample.attachment
             sequence, t_ns, gid = UNTAGGED if attachment is None else tag_fields(attachment.to_bytes())
-            source = self._flowing.get((key, gid))  # a publisher that goes on counting sends what it sent before
-            if source is not None and sequence == source.last + 1:
+            if gid != of:
+                source, of = self._flowing.get((key, gid)), gid
+            if source is not None and sequence == source.last + 1:  # who goes on counting sends what it sent before
                 source.received += 1
                 source.last = sequence
-                stream = source.stream
             else:
-                stream = self._open(key, str(sample.encoding), sequence, gid, since_ns)
-            if stream is None:
-                continue
+                source = self._open(key, str(sample.encoding), sequence, gid, since_ns)
+                if source is None:
+                    continue
             t_ns = t_ns if t_ns > 0 else arrival_ns
-            batch.streams.append(stream)
+            batch.streams.append(source.stream)
             batch.received.append(t_ns)
             batch.published.append(t_ns)
             batch.numbers.append(sequence if sequence > 0 else 0)
@@ -84,7 +88,7 @@ class Sources:
         return [
             [self.keys[key], media, gid.hex(), source.stream, source.last]
             for (key, media, gid), source in self._sources.items()
-            if source.last and source.stream is not None
+            if source.last and source.stream != _NONE
         ]
 
     def load(self, saved: list[list[Any]]) -> None:
@@ -105,8 +109,8 @@ class Sources:
             )
         return table
 
-    def _open(self, key: int, media: str, sequence: int, gid: bytes, now_ns: int) -> int | None:
-        """Account for a sample that does not go on from one before -> its stream; None for one that is not taken."""
+    def _open(self, key: int, media: str, sequence: int, gid: bytes, now_ns: int) -> _Source | None:
+        """Account for a sample that does not go on from one before -> its source; None for one that is not taken."""
         source = self._source(key, media, gid, now_ns)
         source.received += 1
         if source.last and sequence > source.last + 1:
@@ -114,7 +118,7 @@ class Sources:
             source.missed += gap
             self.missed[key] += gap
         source.last = max(source.last, sequence)
-        if source.stream is None:
+        if source.stream == _NONE:
             self.unknown[key] += 1
             self._flowing.pop((key, gid), None)
             return None
@@ -123,7 +127,7 @@ class Sources:
             return None
         source.floor = 0
         self._flowing[key, gid] = source
-        return source.stream
+        return source
 
     def _source(self, key: int, media: str, gid: bytes, now_ns: int) -> _Source:
         """The source of a sample."""
@@ -134,11 +138,11 @@ class Sources:
                 del self._sources[first]
                 self._flowing.pop((number, publisher), None)
             source = self._sources[key, media, gid] = _Source(self._learn(key, media), now_ns)
-        elif source.stream is None and now_ns - source.asked_ns > _ASK_AGAIN_NS:
+        elif source.stream == _NONE and now_ns - source.asked_ns > _ASK_AGAIN_NS:
             source.stream, source.asked_ns = self._learn(key, media), now_ns
         return source
 
-    def _learn(self, key: int, media: str) -> int | None:
+    def _learn(self, key: int, media: str) -> int:
         found = self._identify(self.keys[key], media)
         self.reasons[key] = found if isinstance(found, str) else ""
-        return None if isinstance(found, str) else found
+        return _NONE if isinstance(found, str) else found
