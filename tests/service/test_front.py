@@ -165,7 +165,10 @@ def children() -> list[int]:
     return [int(each) for task in tasks for each in (task / "children").read_text().split()]
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds the process by Linux's /proc")
+on_linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds the process by Linux's /proc")
+
+
+@on_linux
 def test_it_begins_anew(robot: Robot) -> None:
     before = set(children())
     with desk_of(robot) as desk:
@@ -178,6 +181,7 @@ def test_it_begins_anew(robot: Robot) -> None:
     assert set(children()) == before
 
 
+@on_linux
 def test_signals_are_not_for_it(robot: Robot) -> None:
     before = set(children())
     with desk_of(robot) as desk:
@@ -186,6 +190,20 @@ def test_signals_are_not_for_it(robot: Robot) -> None:
             os.kill(process, number)
         assert desk.ask(f"{ROBOT}/health").status_code == 200
         assert desk.said == []
+
+
+@on_linux
+def test_one_that_hangs_is_ended(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """News fill the pipe, and nobody reads them."""
+    monkeypatch.setattr("fuselog.service.front.front._END_S", 0.5)
+    before = set(children())
+    with desk_of(robot) as desk:
+        (process,) = set(children()) - before
+        os.kill(process, signal.SIGSTOP)
+        for _ in range(200):  # a robot that is looked at is another each time
+            desk.front.soon()
+            time.sleep(0.01)
+    assert set(children()) == before
 
 
 def test_it_cannot_begin(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

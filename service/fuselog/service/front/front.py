@@ -33,7 +33,7 @@ from fuselog.service.threads import Worker
 
 _START_S = 30.0  # within which it must answer
 _RENEW_S = 2.0
-_END_S = 5.0  # for answers under way at the end
+_END_S = 6.0  # that it may take to end, with answers under way
 _NEWS_EVERY_S = 0.1  # where nobody says that there are some
 _LEAST_S = 0.005  # from news to news
 _HEARTBEAT_S = 1.0  # between news, at most
@@ -96,19 +96,23 @@ class Front:
             self._renewed.wait(_RENEW_S)
 
     def finish(self) -> None:
-        """Answer no more."""
+        """Answer no more; a process that does not end by itself is killed."""
         with self._lock:  # it does not begin anew from here on
             self._finishing.set()
-        self._telling.join(_END_S)
-        with suppress(OSError):
-            self._channel.send(Stop())
+        self._due.set()
+        Worker("last news", self._end, lambda: None)  # it may not read any more
         try:
-            self._process.wait(_END_S + 1)
+            self._process.wait(_END_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        self._telling.join(_END_S)
         self._reading.join(_END_S)
         self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _end(self) -> None:
+        with suppress(OSError):
+            self._channel.send(Stop())
 
     def _begin(self) -> None:
         ours, theirs = socket.socketpair()
