@@ -55,3 +55,13 @@ def test_written_out_it_means_the_same(case: str) -> None:
     exec(text, scope)
     assert scope["main"]() == expected  # type: ignore[operator]
     assert text.count("@inline") == left
+
+
+@pytest.mark.parametrize(("case", "marked"), [("an early return", 1), ("inside an expression", 1), ("two calls", 0)])
+def test_what_is_called_once_is_marked_where_that_is_wanted(case: str, marked: int) -> None:
+    functions, body, left, expected = CASES[case]
+    text = write_out(f"{HEAD}\nonce = inline\n{functions}\ndef main():\n{body}\n", embed=True)
+    scope: dict[str, object] = {}
+    exec(text, scope)
+    assert scope["main"]() == expected  # type: ignore[operator]
+    assert (text.count("@once"), text.count("@inline")) == (marked, left - marked)

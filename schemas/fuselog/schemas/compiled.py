@@ -39,6 +39,12 @@ def inline(function: _Kernel) -> _Kernel:
     return cast(_Kernel, numba.njit(error_model="numpy", inline="never", pipeline_class=PartCompiler)(function))
 
 
+def once(function: _Kernel) -> _Kernel:
+    """As `inline`, for a function that is called from one place, where its code is put."""
+    options = {"error_model": "numpy", "inline": "never", "forceinline": True, "pipeline_class": PartCompiler}
+    return cast(_Kernel, cast(Any, numba.njit)(**options)(function))
+
+
 def leaf(function: _Kernel) -> _Kernel:
     """As `inline`, for a function that makes no array: it borrows its arguments, and no call counts references.
 

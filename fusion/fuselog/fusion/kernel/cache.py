@@ -17,9 +17,11 @@ from types import ModuleType
 
 from fuselog.fusion.kernel.declared import Declaration
 from fuselog.fusion.kernel.inlining import write_out
+from fuselog.fusion.kernel.small import SMALL
 from fuselog.schemas.errors import FuselogError
 
 _HERE = Path(__file__).parent
+_HELD = "import record_at\n", "import held_record_at as record_at\n"  # for models that are not small
 # the texts that are compiled together with a generated model, as one module that takes the model's names
 _BEFORE = ("layout", "innovation", "moments", "seeding", "gains", "correction", "soundness")
 _FILTERS = {"ekf": "extended", "iekf": "iterated", "ukf": "unscented"}  # of which one comes between
@@ -34,7 +36,7 @@ from math import sqrt
 
 import numpy as np
 
-from fuselog.fusion.kernel.rows import mirror, row_sum, transpose
+from fuselog.fusion.kernel.rows import mirror, row_increase, row_sum, transpose
 from fuselog.fusion.kernel.scalars import (
     asin,
     atan2,
@@ -50,7 +52,7 @@ from fuselog.fusion.kernel.scalars import (
     wrap,
 )
 from fuselog.fusion.kernel.rotations import right_jacobian, settle_rotation, show_rotation, turn_between, turn_rotation
-from fuselog.schemas.compiled import inline
+from fuselog.schemas.compiled import inline, once
 
 '''
 
@@ -122,7 +124,9 @@ def kernel_module(
         generated = generate(model, {q: combination(q) if is_combination(q) else available[q] for q in measured})
         texts = ("matrices",) if model.by_matrices else ()
         texts = (*texts, *_BEFORE, _FILTERS[kind], *(_CAREFUL if careful else _PLAIN), *_AFTER)
-        _store(path, write_out(_HEAD.format(name=model.name) + _decorate(generated) + _join(texts)))
+        text = _HEAD.format(name=model.name) + _decorate(generated) + _join(texts)
+        small = len(model.states) <= SMALL
+        _store(path, write_out(text if small else text.replace(*_HELD), embed=small))
     return _load(path)
 
 

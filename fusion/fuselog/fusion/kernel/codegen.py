@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
 
+from fuselog.fusion.kernel.small import SMALL
 from fuselog.fusion.models.model import (
     DT,
     QUATERNION,
@@ -233,7 +234,7 @@ def _predict(model: Model, texts: _Texts) -> list[str]:
         *_product("w", "0", "s", "a + COVARIANCE", off, n, upper=False),
         "    transpose(w, LD * LD, w, 0, LD)",
         *_product("s", "b + COVARIANCE", "w", "LD * LD", off, n, upper=True),
-        *(f"    s[b + COVARIANCE + {i} * LD + {j}] += {value}" for (i, j), value in texts.Q.items()),
+        *_add_noise(texts.Q, n),
         "    mirror(s, b + COVARIANCE, LD)",
         *_arrive(model, texts),
     ]
@@ -272,6 +273,14 @@ def _disturb(texts: _Texts) -> list[str]:
         *(f"    s[b + COVARIANCE + {i} * LD + {j}] += {value}" for (i, j), value in texts.Q.items()),
     ]
     return _used(body)
+
+
+def _add_noise(Q: Mapping[tuple[int, int], str], n: int) -> list[str]:
+    """P += Q on and above the diagonal: row by row where a row is one vector, number by number where it is mostly 0."""
+    if n > SMALL:
+        return [f"    s[b + COVARIANCE + {i} * LD + {j}] += {value}" for (i, j), value in Q.items()]
+    rows = {i: ", ".join(Q.get((i, j), "0.0") for j in range(SMALL)) for i in sorted({i for i, _ in Q})}
+    return [f"    row_increase(s, b + COVARIANCE + {i} * LD, ({row}), {SMALL})" for i, row in rows.items()]
 
 
 def _linearise(texts: _Texts) -> list[str]:

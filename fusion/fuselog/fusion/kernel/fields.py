@@ -79,15 +79,16 @@ def _dtypes(kind: type[NamedTuple]) -> tuple[np.dtype[Any], ...]:
 
 
 class _Fields(types.Type):
-    """A pointer to a block."""
+    """A pointer to a block; ``held``: what is read of it once stays in a register, whatever is stored meanwhile."""
 
-    def __init__(self, kind: type[NamedTuple]) -> None:
+    def __init__(self, kind: type[NamedTuple], *, held: bool) -> None:
         hints = get_type_hints(kind, include_extras=True)
         self.names = kind._fields
         numbers = [from_dtype(dtype) for dtype in _dtypes(kind)]
         arrays = [bool(get_args(hints[name])) for name in kind._fields]
         self.kinds = [types.CPointer(n) if array else n for n, array in zip(numbers, arrays, strict=True)]
-        super().__init__(name=f"Fields({kind.__name__})")
+        self.held = held
+        super().__init__(name=f"Fields({kind.__name__}, {held})")
 
 
 register_model(_Fields)(models.OpaqueModel)
@@ -105,13 +106,23 @@ class _FieldsAttribute(AttributeTemplate):
 def _load_field(context: Any, builder: Any, fields: Any, value: Any, name: str) -> Any:
     number = fields.names.index(name)
     place = builder.gep(value, [ir.Constant(ir.IntType(64), number * _BYTES)])
-    return builder.load(builder.bitcast(place, context.get_value_type(fields.kinds[number]).as_pointer()))
+    field = builder.load(builder.bitcast(place, context.get_value_type(fields.kinds[number]).as_pointer()))
+    if fields.held:
+        field.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return field
 
 
 def _record_at(typing, at, kind):  # noqa: ARG001  numba reads this signature
     """The record of the block at an address, with a pointer in each array's place."""
-    result = _Fields(kind.instance_class)
+    return _at(_Fields(kind.instance_class, held=False), kind)
 
+
+def _held_record_at(typing, at, kind):  # noqa: ARG001  numba reads this signature
+    """The same, its fields read once: where rows are long that saves more than the registers are worth."""
+    return _at(_Fields(kind.instance_class, held=True), kind)
+
+
+def _at(result: _Fields, kind: Any) -> Any:
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         return builder.inttoptr(arguments[0], context.get_value_type(result))
 
@@ -125,3 +136,4 @@ class _RecordAt(Protocol):
 
 
 record_at = cast(_RecordAt, intrinsic(_record_at))
+held_record_at = cast(_RecordAt, intrinsic(_held_record_at))

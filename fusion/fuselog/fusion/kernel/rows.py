@@ -100,6 +100,21 @@ def _row_add(typing, to, at, source, start, factor, width):  # noqa: ARG001  num
     return (signature, emit) if _fixed(width) else None
 
 
+def _row_increase(typing, to, at, values, width):  # noqa: ARG001  numba reads this signature
+    """to[at : at + width] += values."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        lanes = width.literal_value
+        row = ir.Constant(ir.VectorType(ir.DoubleType(), lanes), ir.Undefined)
+        for lane, value in enumerate(_unpack(builder, arguments[2])):
+            row = builder.insert_element(row, value, ir.Constant(ir.IntType(32), lane))
+        target = _row(builder, arguments[0], arguments[1], lanes)
+        builder.store(builder.fadd(_load(builder, target), row), target, align=_BYTES)
+        return context.get_dummy_value()
+
+    return (types.void(to, types.intp, values, width), emit) if _fixed(width) else None
+
+
 def _row_sum(typing, to, at, source, starts, factors, width):  # noqa: ARG001  numba reads this signature
     """to[at : at + width] = the sum of factors[i] * source[starts[i] : starts[i] + width]."""
 
@@ -265,6 +280,13 @@ class Sum(Protocol):
         """``width`` is a constant."""
 
 
+class Increase(Protocol):
+    """Add as many numbers to a row as it has: one by one they would have to be in memory before the row is read."""
+
+    def __call__(self, to: Floats, at: int, values: tuple[float, ...], width: int) -> None:
+        """``width`` is a constant."""
+
+
 class Outer(Protocol):
     """Subtract a sum of outer products from a matrix."""
 
@@ -314,6 +336,7 @@ class Take(Protocol):
 
 
 row_copy = cast(Copy, intrinsic(prefer_literal=True)(_row_copy))
+row_increase = cast(Increase, intrinsic(prefer_literal=True)(_row_increase))
 row_sum = cast(Sum, intrinsic(prefer_literal=True)(_row_sum))
 row_scale = cast(Scaled, intrinsic(prefer_literal=True)(_row_scale))
 row_add = cast(Scaled, intrinsic(prefer_literal=True)(_row_add))
