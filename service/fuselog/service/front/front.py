@@ -127,8 +127,9 @@ class Front:
 
     def _read(self) -> None:
         """Take what it says; begin it anew when it ends, unless it never answered."""
+        answered = False
         while True:
-            answered = self._follow()
+            answered = self._follow() or answered
             status = self._process.wait()
             if self._finishing.is_set():
                 return

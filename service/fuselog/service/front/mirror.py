@@ -33,13 +33,20 @@ class Mirror:
         self._unknown = Unknown(0, {})
         self._alive, self._ready, self._heard = True, False, time.monotonic()
 
-    def follow(self, renew: Callable[[], None]) -> None:
-        """Take the news until ``Stop``; raises ``EOFError`` or ``OSError`` when the other process has ended."""
+    def follow(self, *, begin: Callable[[], None], renew: Callable[[], None]) -> None:
+        """Take the news until ``Stop``; raises ``EOFError`` or ``OSError`` when the other process has ended.
+
+        ``begin`` is called after the first news, before which there is nothing to show; ``renew`` does what `Renew` asks.
+        """
+        begun = False
         while True:
             match self._channel.receive():
                 case News() as news:
                     first = news.ready and not self._ready
                     self._take(news)
+                    if not begun:
+                        begin()
+                        begun = True
                     if first:
                         self._channel.send(Heard())
                 case Reply(number, value, error):

@@ -67,12 +67,16 @@ def serve(listener: socket.socket, channel: Channel, setup: Setup) -> None:
             entrance.become(entrance.read_again())
 
     answering = threading.Thread(target=run, name="HTTP server", daemon=True)
-    answering.start()
-    channel.send(Serving())
-    mirror.follow(renew)
+
+    def begin() -> None:
+        answering.start()
+        channel.send(Serving())
+
+    mirror.follow(begin=begin, renew=renew)
     ending.set()
     server.stop()
-    answering.join(_END_S)
+    if answering.is_alive():
+        answering.join(_END_S)
 
 
 if __name__ == "__main__":
