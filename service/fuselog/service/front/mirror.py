@@ -36,7 +36,7 @@ class Mirror:
     def follow(self, *, begin: Callable[[], None], renew: Callable[[], None]) -> None:
         """Take the news until ``Stop``; raises ``EOFError`` or ``OSError`` when the other process has ended.
 
-        ``begin`` is called after the first news, before which there is nothing to show; ``renew`` does what `Renew` asks.
+        ``begin`` is called after the first news, before which there is nothing to show, ``renew`` at each `Renew`.
         """
         begun = False
         while True:
