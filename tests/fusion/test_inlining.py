@@ -1,6 +1,9 @@
 """What writing a function out may not change: the value, and what a name means."""
 
+from pathlib import Path
+
 import pytest
+from tests.fusion.setups import setup
 
 from fuselog.fusion.kernel.inlining import write_out
 
@@ -65,3 +68,13 @@ def test_what_is_called_once_is_marked_where_that_is_wanted(case: str, marked: i
     exec(text, scope)
     assert scope["main"]() == expected  # type: ignore[operator]
     assert (text.count("@once"), text.count("@inline")) == (marked, left - marked)
+
+
+@pytest.mark.parametrize(("model", "small"), [("constant_velocity", True), ("unicycle", False)])
+def test_kernels_of_small_models_are_made_otherwise(model: str, small: bool) -> None:
+    """Calls put in their place and noise added by rows; else addresses that are held."""
+    path = setup(model).kernel.__file__
+    assert path is not None
+    text = Path(path).read_text()
+    assert ("@once" in text, "row_increase(s" in text) == (small, small)
+    assert ("held_record_at as record_at" in text) is not small
