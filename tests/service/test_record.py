@@ -26,7 +26,7 @@ from fuselog.service.recording.recorder import Recorder
 from fuselog.service.recording.selection import Selection, expressions
 from fuselog.service.recording.spool import Spool
 from fuselog.service.ros_keys import ros_key
-from fuselog.service.streams import tell
+from fuselog.service.streams import Hearsay, tell
 from fuselog.service.transport import Endpoints, TransportError, open_session
 from fuselog.service.wire import Tag, media_type, write_tag
 from fuselog.service.zenoh_door import subscribe
@@ -59,10 +59,8 @@ class Recorded:
         self.path = path
         self.selection = Selection(keys=expressions(keys), **selection)
         types = {"configured": TWIST}
-        recording = Recording(path)
-        self.recorder = Recorder(
-            recording, partial(describe, session, types), selection=self.selection, capacity_bytes=capacity_bytes
-        )
+        ask = partial(describe, Hearsay(session), types)
+        self.recorder = Recorder(Recording(path), ask, selection=self.selection, capacity_bytes=capacity_bytes)
         self._ends = [
             subscribe(session, key, partial(self.recorder.put, n)) for n, key in enumerate(self.selection.keys)
         ]
@@ -242,6 +240,21 @@ def test_a_publisher_that_says_its_type_late(sessions, record, monkeypatch):
     recorded.finish(2)
     found = {message.data: (channel.topic, channel.schema.data) for channel, message in recorded.read()}
     assert found == {b"before": ("late", b""), b"after": ("/late", text.encode())}
+
+
+def test_a_publisher_that_is_gone(sessions):
+    """What a filter learned of it is what a recording says of it, however late that asks."""
+    theirs, ours = sessions
+    hearsay, pose = Hearsay(ours), "geometry_msgs/msg/PoseStamped"
+    told = Stream(
+        topic="/pose", encoding="cdr", schema_name=pose, schema_encoding="ros2msg", schema_text="# theirs\nfloat64 x\n"
+    )
+    tell(theirs, {"pose": [told]})
+    assert hearsay.learn("pose") == [told]
+    theirs.close()  # pyright: ignore[reportUnknownMemberType]  its stubs leave out what it returns
+    assert hearsay.learn("pose") == []
+    late = describe(hearsay, {}, "pose", media_type("cdr", pose))
+    assert (late.topic, late.schema.data) == ("/pose", told.schema_text.encode())
 
 
 def test_missing_numbers_are_counted(sessions, record):

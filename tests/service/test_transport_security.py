@@ -16,7 +16,7 @@ from fuselog.fusion import Stream
 from fuselog.fusion.config import load_config
 from fuselog.schemas import ConfigError
 from fuselog.service.live.ownership import Claim
-from fuselog.service.streams import learn, tell
+from fuselog.service.streams import Hearsay, tell
 from fuselog.service.transport import TransportError, open_session, service_endpoints, visitor_endpoints
 from fuselog.service.zenoh_door import Publisher, subscribe, subscribe_reliably
 
@@ -272,7 +272,7 @@ def test_the_example_of_access_control(pki: Path) -> None:
         time.sleep(0.3)  # until the service knows
         end = subscribe_reliably(service, imu, lambda s: got.append(s.payload.to_bytes()), missed=print)
         assert got == [b"early"]
-        assert learn(service, imu) == [described]
+        assert Hearsay(service).learn(imu) == [described]
         publisher.put(b"later", b"")
         with visit(pki, at, tls("viewer")) as viewer:
             subscribe(viewer, results, lambda s: seen.append(s.payload.to_bytes()))

@@ -1,5 +1,7 @@
 """What the streams on Zenoh are: publishers tell who asks, and a filter learns the type of what it gets."""
 
+import threading
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import NamedTuple
@@ -16,6 +18,7 @@ from fuselog.service.zenoh_door import alive, answer, ask
 _ABOUT = "@fuselog/stream"  # `**` does not match what begins with @, so no one gets this by accident
 _LARGEST = 4 << 20  # bytes of a description that is read
 _PATIENCE_S = 1.0
+_MOST_HEARD = 1000  # keys, the oldest are forgotten
 _SLASH = "\u00a7"  # of names in liveliness tokens of bridges
 
 Learn = Callable[[str], list[Stream]]
@@ -61,15 +64,36 @@ def tell(session: zenoh.Session, streams: Mapping[str, Iterable[Stream]], *, out
     Announcements(session, outputs=outputs).add(streams)
 
 
-def learn(session: zenoh.Session, key: str) -> list[Stream]:
-    """What publishers say of ``key``; empty when nobody does."""
-    return [each.stream for each in announced(session, key)]
+class Hearsay:
+    """What publishers say of their streams, for several threads; what was heard last is remembered.
 
+    A recording may come to ask when a filter has taken everything and the publisher has gone.
+    """
 
-def announced(session: zenoh.Session, key: str) -> list[Announced]:
-    """The same, with which of them are outputs."""
-    texts = ask(session, f"{_ABOUT}/{key}", timeout_s=_PATIENCE_S)
-    return [each for text in texts for each in _described(text)]
+    def __init__(self, session: zenoh.Session) -> None:
+        self.session = session
+        self._heard: OrderedDict[str, list[Announced]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def learn(self, key: str) -> list[Stream]:
+        """What publishers say of ``key`` now; empty when nobody does."""
+        return [each.stream for each in self._ask(key)]
+
+    def announced(self, key: str) -> list[Announced]:
+        """The same, with which of them are outputs; what was said last when nobody says anything now."""
+        told = self._ask(key)
+        with self._lock:
+            return told or self._heard.get(key, [])
+
+    def _ask(self, key: str) -> list[Announced]:
+        texts = ask(self.session, f"{_ABOUT}/{key}", timeout_s=_PATIENCE_S)
+        told = [each for text in texts for each in _described(text)]
+        if told:
+            with self._lock:
+                self._heard[key] = told
+                if len(self._heard) > _MOST_HEARD:
+                    self._heard.popitem(last=False)
+        return told
 
 
 def _described(text: bytes) -> list[Announced]:

@@ -28,7 +28,7 @@ from fuselog.service.live.sources import Progress
 from fuselog.service.live.warm import warm_up
 from fuselog.service.progress import tell_progress
 from fuselog.service.recording.filter_recorder import FilterRecorder
-from fuselog.service.streams import Announcements, learn, stream_types
+from fuselog.service.streams import Announcements, Hearsay, stream_types
 from fuselog.service.threads import Worker, WorkerError
 from fuselog.service.zenoh_door import subscribe, subscribe_reliably
 
@@ -68,8 +68,8 @@ class Fleet:
         self._source = secrets.token_bytes(16)
         self._saved_at: dict[Group, float] = {}
         self._unsaved: dict[str, str] = {}  # filters whose last checkpoint could not be written, and why
-        asked = snapshot or threading.Event()
-        self._recorders = {group: recorder for group in groups if (recorder := _recorder(group, session, asked))}
+        self._hearsay, asked = Hearsay(session), snapshot or threading.Event()
+        self._recorders = {group: recorder for group in groups if (recorder := _recorder(group, self._hearsay, asked))}
         self._runner = Runner(groups, Inbox(), self._make, flush=self._post.flush, shown=shown)
         self._publishing = Worker("publisher", self._post.run, ended)
         self._fusing = Worker("filter", self._runner.run, ended)
@@ -166,7 +166,7 @@ class Fleet:
         recorder = self._recorders.get(group)
         if recorder is not None:
             outbox.record = partial(recorder.put_outputs, outbox.topics)
-        member = Member(group, captures, plan, outbox, learn=partial(learn, self.session))
+        member = Member(group, captures, plan, outbox, learn=self._hearsay.learn)
         saved = _saved(group, member.id)
         if saved is not None:
             member.resume(saved)
@@ -250,12 +250,12 @@ class Fleet:
         return replace(snapshot, unsaved=unsaved, recording=None if recorder is None else recorder.status)
 
 
-def _recorder(group: Group, session: zenoh.Session, snapshot: threading.Event) -> FilterRecorder | None:
+def _recorder(group: Group, hearsay: Hearsay, snapshot: threading.Event) -> FilterRecorder | None:
     settings = group.plan.config.record
     if settings is None:
         return None
     types = stream_types({sensor.settings.topic: sensor.settings.type for sensor in group.plan.sensors})
-    return FilterRecorder(settings, session, ByPattern(types), snapshot)
+    return FilterRecorder(settings, hearsay, ByPattern(types), snapshot)
 
 
 def _record_and_put(recorder: FilterRecorder, put: Callable[[zenoh.Sample], None], sample: zenoh.Sample) -> None:

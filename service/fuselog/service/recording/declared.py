@@ -9,7 +9,7 @@ from fuselog.fusion import Stream
 from fuselog.replay import Schema
 from fuselog.schemas import SchemaError, definition, schema_to_bytes
 from fuselog.service.ros_keys import ros_key
-from fuselog.service.streams import announced, bridged_type
+from fuselog.service.streams import Hearsay, bridged_type
 from fuselog.service.wire import message_type
 
 OUTPUT = {"fuselog": "output"}  # in the metadata of a channel
@@ -24,7 +24,7 @@ class Declared(NamedTuple):
     metadata: dict[str, str]
 
 
-def describe(session: zenoh.Session, types: Mapping[str, str], key: str, media: str) -> Declared:
+def describe(hearsay: Hearsay, types: Mapping[str, str], key: str, media: str) -> Declared:
     """The channel for samples of ``key`` with Zenoh's encoding ``media``; asks the network, for 2 s at most.
 
     What the publisher announces counts first, for its definition may differ from today's of the same name. A type that
@@ -33,7 +33,7 @@ def describe(session: zenoh.Session, types: Mapping[str, str], key: str, media: 
     """
     encoding, name = message_type(media)
     try:
-        for stream, is_output in announced(session, key):
+        for stream, is_output in hearsay.announced(key):
             if encoding in ("", stream.encoding) and name in ("", stream.schema_name):
                 return _announced(stream, is_output)
         ros = ros_key(key)
@@ -42,7 +42,7 @@ def describe(session: zenoh.Session, types: Mapping[str, str], key: str, media: 
         given = name or types.get(key, "")
         if given and encoding in ("", "cdr"):
             return _named(key, given, media)
-        bridged = "" if given or encoding else bridged_type(session, key)
+        bridged = "" if given or encoding else bridged_type(hearsay.session, key)
         if bridged:
             return _named(f"/{key}", bridged, media)
     except (zenoh.ZError, SchemaError):  # the session is closing, or what is announced is no schema

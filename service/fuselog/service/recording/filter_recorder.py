@@ -15,6 +15,7 @@ from fuselog.service.recording.declared import describe
 from fuselog.service.recording.record import options_of
 from fuselog.service.recording.recorder import Recorder, Topics
 from fuselog.service.recording.selection import Selection
+from fuselog.service.streams import Hearsay
 
 _RETRY_S = 10.0
 
@@ -29,10 +30,10 @@ class FilterRecorder:
     """
 
     def __init__(
-        self, settings: RecordSettings, session: zenoh.Session, types: Mapping[str, str], snapshot: threading.Event
+        self, settings: RecordSettings, hearsay: Hearsay, types: Mapping[str, str], snapshot: threading.Event
     ) -> None:
         self._settings, self._snapshot = settings, snapshot
-        self._describe = partial(describe, session, types)
+        self._describe = partial(describe, hearsay, types)
         self._lock = threading.Lock()  # of what starts and stops
         self._recorder: Recorder | None = None
         self._last: RecordingStatus = _nothing("")

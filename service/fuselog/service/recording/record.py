@@ -14,6 +14,7 @@ from fuselog.service.progress import tell_progress
 from fuselog.service.recording.declared import describe
 from fuselog.service.recording.recorder import Recorder
 from fuselog.service.recording.selection import Selection
+from fuselog.service.streams import Hearsay
 from fuselog.service.zenoh_door import subscribe
 
 _LOOK_S = 0.1
@@ -51,7 +52,7 @@ def record(
     ends nothing.
     """
     recorder = Recorder(
-        recording, partial(describe, session, types), selection=selection, snapshot=snapshot, ended=stop.set
+        recording, partial(describe, Hearsay(session), types), selection=selection, snapshot=snapshot, ended=stop.set
     )
     unsubscribe = [subscribe(session, key, partial(recorder.put, number)) for number, key in enumerate(selection.keys)]
     # A player waits for the answer before it leaves, and the network keeps the order: nothing is under way then.
