@@ -22,7 +22,7 @@ from fuselog.replay import Channel, Log, open_log
 from fuselog.schemas import definition, pack, schema_to_bytes
 from fuselog.schemas.ros2msg import parse_ros2msg
 from fuselog.schemas.values import CdrReader
-from fuselog.service.streams import learn
+from fuselog.service.streams import Hearsay
 from fuselog.service.transport import Endpoints, open_session
 
 from .conftest import FUSELOG, UNICYCLE, Service, live_config, run
@@ -63,7 +63,7 @@ def live(log: Path, service: Service, wanted: dict[str, list[bytes]]) -> tuple[R
     """What the service publishes of a log until it has ended, and what it tells of each key."""
     with receiving(service) as (session, received):
         played(log, service, "--fast")
-        told = {key: learn(session, key) for key in (*KEYS, "fused/odom/health", "fused/odom/command")}
+        told = {key: Hearsay(session).learn(key) for key in (*KEYS, "fused/odom/health", "fused/odom/command")}
         code, said = service.end()
         assert code == 0, said
         end = time.monotonic() + 10
