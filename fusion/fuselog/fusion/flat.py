@@ -4,7 +4,7 @@ import numpy as np
 
 from fuselog.fusion.events import Events, blank_events
 from fuselog.fusion.kernel.fields import Block
-from fuselog.fusion.kernel.memory import blank_rows
+from fuselog.fusion.kernel.memory import blank_rows, row_widths
 from fuselog.fusion.kernel.tables import Rows, Samples
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.track import Track
@@ -46,12 +46,12 @@ class Few:
     """
 
     def __init__(self, plan: Plan, most: int = 32) -> None:
-        M, N = plan.tables.M, len(plan.states)
+        M = plan.tables.M
         self.most = most
         self._events = blank_events(most, M)
         self.samples = Block(make_samples(self._events))
         self.rows = Block(blank_rows(plan.kernel, most, M))
-        self._widths = (1, 1, 1, 1, N, N * (N + 1) // 2, M, M, M)
+        self._widths = row_widths(plan.kernel, M)
 
     def put(self, events: Events) -> None:
         """Make up to ``most`` events the samples."""

@@ -2,6 +2,7 @@
 
 import math
 
+from fuselog.fusion.kernel.alone import make
 from fuselog.fusion.kernel.blank import LD, N
 from fuselog.fusion.kernel.fields import record_at
 from fuselog.fusion.kernel.layout import (
@@ -18,10 +19,11 @@ from fuselog.fusion.kernel.layout import (
     SENSOR_MARKS,
     UNDECIDED,
 )
+from fuselog.fusion.kernel.lanes import everywhere, where, tally
 from fuselog.fusion.kernel.moments import marks_at, moment
 from fuselog.fusion.kernel.rows import row_copy
 from fuselog.fusion.kernel.soundness import wrong
-from fuselog.fusion.kernel.step import carry, step
+from fuselog.fusion.kernel.step import carry
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
 from fuselog.schemas.compiled import inline, kernel
 
@@ -157,11 +159,11 @@ def replay(tables: Tables, history: History, work: Work, start: int) -> None:
     """Make every entry from ``start`` on anew, all sensors alike, and keep the ledger true."""
     for k in range(start, history.cursor[1] + 1):
         before = history.decision[k]
-        step(tables, history, work, k)
+        make(tables, history, work, k)
         ledger = history.sensor[k] * DECISIONS
         if before != UNDECIDED:
-            history.counts[ledger + before] -= 1
-        history.counts[ledger + history.decision[k]] += 1
+            tally(history.counts, ledger, before, -1)
+        tally(history.counts, ledger, history.decision[k], 1)
 
 
 @inline
@@ -217,8 +219,9 @@ def write(tables: Tables, history: History, at: int, decision: int, rows: Rows, 
     rows.t_ns[e], rows.decision[e] = history.marks[marks_at(tables, history.cursor[1]) + AT], decision
     row_copy(rows.x, e * N, s, b, LD)
     for i in range(N):
-        if s[b + KNOWN + i] == 0.0:
-            rows.x[e * N + i] = math.nan
+        known = s[b + KNOWN + i] != 0.0
+        if not everywhere(known):
+            rows.x[e * N + i] = where(known, rows.x[e * N + i], math.nan)
     packed = e * PACKED
     for i in range(N if tables.covariance else 0):
         row_copy(rows.P, packed, s, b + COVARIANCE + i * LD + i, LD)  # what is too much, the next row covers

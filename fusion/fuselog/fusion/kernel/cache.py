@@ -22,13 +22,15 @@ from fuselog.schemas.errors import FuselogError
 
 _HERE = Path(__file__).parent
 _HELD = "import record_at\n", "import held_record_at as record_at\n"  # for models that are not small
+_LANES = "import record_at\n", "import lanes_at as record_at\n"  # for several filters
 # the texts that are compiled together with a generated model, as one module that takes the model's names
 _BEFORE = ("layout", "innovation", "moments", "seeding", "gains", "correction", "soundness")
 _FILTERS = {"ekf": "extended", "iekf": "iterated", "ukf": "unscented"}  # of which one comes between
 _CAREFUL, _PLAIN = ("robust", "standstill"), ("plain",)  # the first where a sensor needs them, as they take time
-_AFTER = ("step", "advance", "linear", "smooth")
+_AFTER = ("step", "alone", "advance", "linear", "smooth")
+_ABREAST = ("step", "abreast", "advance")  # instead, in a kernel that moves several filters
 _SOURCES = (_HERE, _HERE.parent / "models")  # what a kernel is made of
-_OWN = {f"fuselog.fusion.kernel.{n}" for n in ("blank", *_BEFORE, *_FILTERS.values(), *_CAREFUL, *_PLAIN, *_AFTER)}
+_OWN = {f"fuselog.fusion.kernel.{n}" for n in ("blank", *_BEFORE, *_FILTERS.values(), *_CAREFUL, *_PLAIN, *_AFTER, *_ABREAST)}
 _HEAD = '''"""Made by fuselog from the model {name}; delete freely."""
 
 import math
@@ -107,13 +109,13 @@ def model_card(declared: Declaration) -> ModelCard:
 
 
 def kernel_module(
-    declared: Declaration, measured: Sequence[str], kind: str = "ekf", *, careful: bool = False
+    declared: Declaration, measured: Sequence[str], kind: str = "ekf", *, careful: bool = False, abreast: bool = False
 ) -> ModuleType:
     """The module with ``advance`` for a model, what its sensors measure, in this order, and the kind of filter.
 
-    ``careful``: for sensors that need more than a gate, see ``Care``.
+    ``careful``: for sensors that need more than a gate, see ``Care``. ``abreast``: it moves ``LANES`` filters at once.
     """
-    mode = "careful" if careful else "plain"
+    mode = ("careful" if careful else "plain") + ("-abreast" if abreast else "")
     path = cache_folder() / _key(declared, *measured, kind, mode) / f"{declared.function}.py"
     if not path.is_file():
         from fuselog.fusion.kernel.codegen import generate  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
@@ -123,10 +125,14 @@ def kernel_module(
         available = measurable(model)
         generated = generate(model, {q: combination(q) if is_combination(q) else available[q] for q in measured})
         texts = ("matrices",) if model.by_matrices else ()
-        texts = (*texts, *_BEFORE, _FILTERS[kind], *(_CAREFUL if careful else _PLAIN), *_AFTER)
+        texts = (*texts, *_BEFORE, _FILTERS[kind], *(_CAREFUL if careful else _PLAIN), *(_ABREAST if abreast else _AFTER))
         text = _HEAD.format(name=model.name) + _decorate(generated) + _join(texts)
         small = len(model.states) <= SMALL
-        _store(path, write_out(text if small else text.replace(*_HELD), embed=small))
+        if abreast:
+            text = text.replace(*_LANES)
+        elif not small:
+            text = text.replace(*_HELD)
+        _store(path, write_out(text, embed=small))
     return _load(path)
 
 

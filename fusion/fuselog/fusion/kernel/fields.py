@@ -23,6 +23,7 @@ from numba.extending import (  # pyright: ignore[reportMissingTypeStubs]  numba 
 )
 from numpy.typing import NDArray
 
+from fuselog.fusion.kernel.lanes import LanesAt
 from fuselog.schemas.compiled import kernel
 
 _BYTES = 8  # of an address, and of a number in the block
@@ -78,17 +79,29 @@ def _dtypes(kind: type[NamedTuple]) -> tuple[np.dtype[Any], ...]:
     return tuple(np.dtype(get_args(hints[name])[1] if get_args(hints[name]) else hints[name]) for name in kind._fields)
 
 
-class _Fields(types.Type):
-    """A pointer to a block; ``held``: what is read of it once stays in a register, whatever is stored meanwhile."""
+@cache
+def own_of(kind: type[NamedTuple]) -> tuple[bool, ...]:
+    """Which fields of a record are each filter's own where several are moved together."""
+    hints = get_type_hints(kind, include_extras=True)
+    return tuple(np.float64 in (of := get_args(hints[name])[1:]) or "own" in of for name in kind._fields)
 
-    def __init__(self, kind: type[NamedTuple], *, held: bool) -> None:
+
+class _Fields(types.Type):
+    """A pointer to a block; ``held``: what is read of it once stays in a register, whatever is stored meanwhile.
+
+    ``several``: of filters that are moved together.
+    """
+
+    def __init__(self, kind: type[NamedTuple], *, held: bool, several: bool) -> None:
         hints = get_type_hints(kind, include_extras=True)
         self.names = kind._fields
         numbers = [from_dtype(dtype) for dtype in _dtypes(kind)]
-        arrays = [bool(get_args(hints[name])) for name in kind._fields]
-        self.kinds = [types.CPointer(n) if array else n for n, array in zip(numbers, arrays, strict=True)]
+        self.kinds: list[Any] = []
+        for name, number, own in zip(kind._fields, numbers, own_of(kind), strict=True):
+            pointer = LanesAt(number) if several and own else types.CPointer(number)
+            self.kinds.append(pointer if get_args(hints[name]) else number)
         self.held = held
-        super().__init__(name=f"Fields({kind.__name__}, {held})")
+        super().__init__(name=f"Fields({kind.__name__}, {held}, {several})")
 
 
 register_model(_Fields)(models.OpaqueModel)
@@ -114,12 +127,17 @@ def _load_field(context: Any, builder: Any, fields: Any, value: Any, name: str) 
 
 def _record_at(typing, at, kind):  # noqa: ARG001  numba reads this signature
     """The record of the block at an address, with a pointer in each array's place."""
-    return _at(_Fields(kind.instance_class, held=False), kind)
+    return _at(_Fields(kind.instance_class, held=False, several=False), kind)
 
 
 def _held_record_at(typing, at, kind):  # noqa: ARG001  numba reads this signature
     """The same, its fields read once: where rows are long that saves more than the registers are worth."""
-    return _at(_Fields(kind.instance_class, held=True), kind)
+    return _at(_Fields(kind.instance_class, held=True, several=False), kind)
+
+
+def _lanes_at(typing, at, kind):  # noqa: ARG001  numba reads this signature
+    """The same of filters that are moved together: a lane for each, see ``lanes``."""
+    return _at(_Fields(kind.instance_class, held=True, several=True), kind)
 
 
 def _at(result: _Fields, kind: Any) -> Any:
@@ -137,3 +155,4 @@ class _RecordAt(Protocol):
 
 record_at = cast(_RecordAt, intrinsic(_record_at))
 held_record_at = cast(_RecordAt, intrinsic(_held_record_at))
+lanes_at = cast(_RecordAt, intrinsic(_lanes_at))

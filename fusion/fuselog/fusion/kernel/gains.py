@@ -26,13 +26,13 @@ from fuselog.schemas.compiled import inline
 @inline
 def variant(tables: Tables, history: History, k: int, sensor: int) -> int:
     """The sensor's place in the gain tables at the moment of entry k."""
-    return history.marks[marks_at(tables, k) + VARIANT] * tables.S + sensor
+    return int(history.marks[marks_at(tables, k) + VARIANT]) * tables.S + sensor
 
 
 @inline
 def policy(tables: Tables, history: History, k: int, sensor: int) -> int:
     """How the gain of entry k is made."""
-    if history.marks[marks_at(tables, k) + ACQUIRING]:
+    if int(history.marks[marks_at(tables, k) + ACQUIRING]):
         return OPTIMAL
     return tables.gain[variant(tables, history, k, sensor)]
 

@@ -75,7 +75,7 @@ def weigh(tables: Tables, history: History, work: Work, k: int, sensor: int, m: 
         work.S[a * m + a] = S
         modest &= MODEST * own >= S
         history.S[k * M + work.active[a]] = S
-    work.modest[0] = modest
+    work.modest[0] = bool(modest)
 
 
 @inline

@@ -100,7 +100,7 @@ def linearise_again(tables: Tables, history: History, work: Work, k: int, sensor
             modest &= work.S[a * m + a] <= MODEST * R if a == c else R == 0.0
     if not cholesky(work.S, work.L, m):
         return False
-    work.modest[0] = modest
+    work.modest[0] = bool(modest)
     solve(work, m)
     return True
 

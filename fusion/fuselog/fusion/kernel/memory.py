@@ -103,6 +103,7 @@ def scratch(kernel: ModuleType, tables: Tables) -> Work:
         modest=np.zeros(1, np.int64),
         q=tables.q.copy(),
         here=np.zeros(tables.S, np.int64),
+        single=np.zeros(0, np.int64),
     )
 
 
@@ -120,6 +121,12 @@ def blank_rows(kernel: ModuleType, n: int, M: int) -> Rows:
         S=np.full(n * M, np.nan),
         absorbed=np.full(n * M, np.nan),
     )
+
+
+def row_widths(kernel: ModuleType, M: int) -> tuple[int, ...]:
+    """How many numbers each field of ``Rows`` has for an event."""
+    N = kernel.N
+    return 1, 1, 1, 1, N, N * (N + 1) // 2, M, M, M
 
 
 def blank_linear(kernel: ModuleType, M: int) -> Linear:

@@ -42,7 +42,7 @@ def marks_at(tables: Tables, k: int) -> int:
 @inline
 def last_fused(tables: Tables, history: History, k: int, sensor: int) -> int:
     """The moment (ns) of the sensor's last fused sample as entry k knows it, or NEVER."""
-    return history.marks[marks_at(tables, k) + MARKS + sensor * SENSOR_MARKS + LAST]
+    return int(history.marks[marks_at(tables, k) + MARKS + sensor * SENSOR_MARKS + LAST])
 
 
 @inline
@@ -55,8 +55,9 @@ def choose(tables: Tables, history: History, k: int) -> None:
         history.marks[marks + BEGUN] = now
     if tables.gap_ns >= 0:
         silent = before == NEVER or now - moment(tables, before) > tables.gap_ns
-        above = tables.acquire[0 if history.marks[marks + ACQUIRING] else 1]
-        history.marks[marks + ACQUIRING] = silent or unsettled(tables, history, k) > above
+        above = tables.acquire[0 if int(history.marks[marks + ACQUIRING]) else 1]
+        acquires = silent or unsettled(tables, history, k) > above
+        history.marks[marks + ACQUIRING] = 1 if acquires else 0
     variant = 0
     for c in range(tables.conditions):
         if tables.when[c * 3] == variant and not holds(tables, history, k, c, now):
@@ -79,7 +80,7 @@ def holds(tables: Tables, history: History, k: int, c: int, now: int) -> bool:
     what, index, x = tables.when[c * 3 + 1], tables.when[c * 3 + 2], k * ROW
     value = 0.0
     if what == IF_AGE:
-        value = (now - history.marks[marks_at(tables, k) + BEGUN]) * 1e-9
+        value = (now - int(history.marks[marks_at(tables, k) + BEGUN])) * 1e-9
     elif what == IF_STATE:
         value = history.state[x + index] if history.state[x + KNOWN + index] != 0.0 else math.nan
     elif what == IF_SPEED:

@@ -117,9 +117,9 @@ def accept(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
 def locked_out(tables: Tables, history: History, k: int, sensor: int) -> bool:
     """Whether the gate has refused the sensor's samples for as long as it may, this one included."""
     at, own = marks_at(tables, k) + MARKS + sensor * SENSOR_MARKS, tuning_of(tables, sensor)
-    last = history.marks[at + LAST]
+    last = int(history.marks[at + LAST])
     waited = last == NEVER or moment(tables, history.t[k]) - last >= tables.tuning[own + WAIT]
-    return waited and history.marks[at + STREAK] + 1 >= tables.tuning[own + PATIENCE]
+    return waited and int(history.marks[at + STREAK]) + 1 >= tables.tuning[own + PATIENCE]
 
 
 @inline

@@ -2,7 +2,8 @@
 
 LLVM turns loops of a short constant length into scalar code; a row as one vector is several times faster. Multiply
 and add stay two roundings, so that every instruction set gives the same bytes. Kernels work on bare pointers, because
-counting references to arrays would cost more than the arithmetic.
+counting references to arrays would cost more than the arithmetic. Where these point at lanes, every number of a row is
+one of each filter, and so is a factor.
 """
 # Numba passes compiler objects to an intrinsic that have no types to check.
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
@@ -16,6 +17,8 @@ from numba import types  # pyright: ignore[reportMissingTypeStubs]  numba ships 
 from numba.core import cgutils  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
 from numba.extending import intrinsic  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
 
+from fuselog.fusion.kernel.lanes import LANES, LanesAt, lanes
+
 Floats = Any  # a pointer to float64
 
 _BYTES = 8  # of a float64
@@ -24,22 +27,44 @@ _NARROW = 8  # lanes up to which four rows fit the registers of every processor
 _LEAST = 2.0**-400  # what a subtraction leaves below it is 0: denormal numbers take long, products of larger are none
 
 
-def _row(builder: Any, pointer: Any, offset: Any, width: int) -> Any:
-    """Pointer to ``width`` numbers from ``offset``, as one vector."""
-    place = builder.gep(pointer, [offset])
-    return builder.bitcast(place, ir.VectorType(ir.DoubleType(), width).as_pointer())
+class _Place:
+    """How rows lie where a pointer points: of single numbers, or of one number of each filter."""
+
+    def __init__(self, pointer: Any) -> None:
+        self.each = LANES if isinstance(pointer, LanesAt) else 1
+        self.number = lanes if isinstance(pointer, LanesAt) else types.float64
+
+    def at(self, builder: Any, pointer: Any, offset: Any, width: int) -> Any:
+        """Pointer to ``width`` numbers from ``offset``, as one vector."""
+        place = builder.gep(pointer, [builder.mul(offset, offset.type(self.each)) if self.each > 1 else offset])
+        return builder.bitcast(place, ir.VectorType(ir.DoubleType(), width * self.each).as_pointer())
+
+    def load(self, builder: Any, pointer: Any, offset: Any, width: int) -> Any:
+        """The row."""
+        return builder.load(self.at(builder, pointer, offset, width), align=_BYTES)
+
+    def load_number(self, builder: Any, pointer: Any, offset: Any) -> Any:
+        """A factor."""
+        if self.each > 1:
+            return self.load(builder, pointer, offset, 1)
+        return builder.load(builder.gep(pointer, [offset]), align=_BYTES)
+
+    def store(self, builder: Any, row: Any, pointer: Any, offset: Any) -> None:
+        """Put a row there."""
+        place = self.at(builder, pointer, offset, row.type.count // self.each)
+        builder.store(row, place, align=_BYTES)
 
 
 def _spread(builder: Any, value: Any, width: int) -> Any:
-    """A vector that holds ``value`` everywhere."""
-    vector = ir.VectorType(ir.DoubleType(), width)
-    one = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
-    mask = ir.Constant(ir.VectorType(ir.IntType(32), width), [0] * width)
-    return builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), mask)
-
-
-def _load(builder: Any, place: Any) -> Any:
-    return builder.load(place, align=_BYTES)
+    """A row of ``width`` numbers that are all ``value``."""
+    mask = [0] * width
+    if isinstance(value.type, ir.VectorType):
+        one, mask = value, [*range(LANES)] * width
+    else:
+        one = ir.Constant(ir.VectorType(ir.DoubleType(), width), ir.Undefined)
+        one = builder.insert_element(one, value, ir.Constant(ir.IntType(32), 0))
+    order = ir.Constant(ir.VectorType(ir.IntType(32), len(mask)), mask)
+    return builder.shuffle_vector(one, ir.Constant(one.type, ir.Undefined), order)
 
 
 def _flush(builder: Any, row: Any) -> Any:
@@ -61,11 +86,11 @@ def _fixed(width: Any) -> bool:
 
 def _row_copy(typing, to, at, source, start, width):  # noqa: ARG001  numba reads this signature
     """to[at : at + width] = source[start : start + width]."""
+    place = _Place(to)
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
-        source = _row(builder, arguments[2], arguments[3], width.literal_value)
-        target = _row(builder, arguments[0], arguments[1], width.literal_value)
-        builder.store(_load(builder, source), target, align=_BYTES)
+        row = place.load(builder, arguments[2], arguments[3], width.literal_value)
+        place.store(builder, row, arguments[0], arguments[1])
         return context.get_dummy_value()
 
     return (types.void(to, types.intp, source, types.intp, width), emit) if _fixed(width) else None
@@ -73,58 +98,63 @@ def _row_copy(typing, to, at, source, start, width):  # noqa: ARG001  numba read
 
 def _row_scale(typing, to, at, source, start, factor, width):  # noqa: ARG001  numba reads this signature
     """to[at : at + width] = factor * source[start : start + width]."""
+    place = _Place(to)
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
-        lanes = width.literal_value
-        row = _load(builder, _row(builder, arguments[2], arguments[3], lanes))
-        scaled = builder.fmul(_spread(builder, arguments[4], lanes), row)
-        builder.store(scaled, _row(builder, arguments[0], arguments[1], lanes), align=_BYTES)
+        row = place.load(builder, arguments[2], arguments[3], width.literal_value)
+        scaled = builder.fmul(_spread(builder, arguments[4], width.literal_value), row)
+        place.store(builder, scaled, arguments[0], arguments[1])
         return context.get_dummy_value()
 
-    signature = types.void(to, types.intp, source, types.intp, types.float64, width)
+    signature = types.void(to, types.intp, source, types.intp, place.number, width)
     return (signature, emit) if _fixed(width) else None
 
 
 def _row_add(typing, to, at, source, start, factor, width):  # noqa: ARG001  numba reads this signature
     """to[at : at + width] += factor * source[start : start + width]."""
+    place = _Place(to)
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
-        lanes = width.literal_value
-        row = _load(builder, _row(builder, arguments[2], arguments[3], lanes))
-        target = _row(builder, arguments[0], arguments[1], lanes)
-        scaled = builder.fmul(_spread(builder, arguments[4], lanes), row)
-        builder.store(builder.fadd(_load(builder, target), scaled), target, align=_BYTES)
+        row = place.load(builder, arguments[2], arguments[3], width.literal_value)
+        scaled = builder.fmul(_spread(builder, arguments[4], width.literal_value), row)
+        before = place.load(builder, arguments[0], arguments[1], width.literal_value)
+        place.store(builder, builder.fadd(before, scaled), arguments[0], arguments[1])
         return context.get_dummy_value()
 
-    signature = types.void(to, types.intp, source, types.intp, types.float64, width)
+    signature = types.void(to, types.intp, source, types.intp, place.number, width)
     return (signature, emit) if _fixed(width) else None
 
 
 def _row_increase(typing, to, at, values, width):  # noqa: ARG001  numba reads this signature
     """to[at : at + width] += values."""
+    place = _Place(to)
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
-        lanes = width.literal_value
-        row = ir.Constant(ir.VectorType(ir.DoubleType(), lanes), ir.Undefined)
-        for lane, value in enumerate(_unpack(builder, arguments[2])):
-            row = builder.insert_element(row, value, ir.Constant(ir.IntType(32), lane))
-        target = _row(builder, arguments[0], arguments[1], lanes)
-        builder.store(builder.fadd(_load(builder, target), row), target, align=_BYTES)
+        before = place.load(builder, arguments[0], arguments[1], width.literal_value)
+        row = ir.Constant(before.type, ir.Undefined)
+        for number, value in enumerate(_unpack(builder, arguments[2])):
+            for lane in range(place.each):
+                at = ir.Constant(ir.IntType(32), lane)
+                own = value if place.each == 1 else builder.extract_element(value, at)
+                row = builder.insert_element(row, own, ir.Constant(ir.IntType(32), number * place.each + lane))
+        place.store(builder, builder.fadd(before, row), arguments[0], arguments[1])
         return context.get_dummy_value()
 
-    return (types.void(to, types.intp, values, width), emit) if _fixed(width) else None
+    row = types.UniTuple(place.number, len(values))
+    return (types.void(to, types.intp, row, width), emit) if _fixed(width) else None
 
 
 def _row_sum(typing, to, at, source, starts, factors, width):  # noqa: ARG001  numba reads this signature
     """to[at : at + width] = the sum of factors[i] * source[starts[i] : starts[i] + width]."""
+    place = _Place(to)
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         to, at, source, starts, factors, _ = arguments
-        lanes, total = width.literal_value, None
+        long, total = width.literal_value, None
         for start, factor in zip(_unpack(builder, starts), _unpack(builder, factors), strict=True):
-            term = builder.fmul(_spread(builder, factor, lanes), _load(builder, _row(builder, source, start, lanes)))
+            term = builder.fmul(_spread(builder, factor, long), place.load(builder, source, start, long))
             total = term if total is None else builder.fadd(total, term)
-        builder.store(total, _row(builder, to, at, lanes), align=_BYTES)
+        place.store(builder, total, to, at)
         return context.get_dummy_value()
 
     signature = types.void(
@@ -132,7 +162,7 @@ def _row_sum(typing, to, at, source, starts, factors, width):  # noqa: ARG001  n
         types.intp,
         source,
         types.UniTuple(types.intp, len(starts)),
-        types.UniTuple(types.float64, len(factors)),
+        types.UniTuple(place.number, len(factors)),
         width,
     )
     return (signature, emit) if _fixed(width) else None
@@ -143,22 +173,23 @@ def _row_take(typing, to, at, base, place, source, start, step, factors, first, 
 
     What was made last should come last, or all else would wait for it.
     """
+    there = _Place(to)
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         to, at, base, place, source, start, step, factors, first, stride, count, scale, _ = arguments
-        lanes = width.literal_value
-        total = cgutils.alloca_once_value(builder, _load(builder, _row(builder, base, place, lanes)))
+        long = width.literal_value
+        total = cgutils.alloca_once_value(builder, there.load(builder, base, place, long))
         with cgutils.for_range(builder, count) as loop:
-            row = _load(builder, _row(builder, source, builder.add(start, builder.mul(loop.index, step)), lanes))
-            factor = _load(builder, builder.gep(factors, [builder.add(first, builder.mul(loop.index, stride))]))
-            scaled = builder.fmul(_spread(builder, factor, lanes), row)
+            row = there.load(builder, source, builder.add(start, builder.mul(loop.index, step)), long)
+            factor = there.load_number(builder, factors, builder.add(first, builder.mul(loop.index, stride)))
+            scaled = builder.fmul(_spread(builder, factor, long), row)
             builder.store(builder.fsub(builder.load(total), scaled), total)
-        scaled = builder.fmul(_spread(builder, scale, lanes), builder.load(total))
-        builder.store(scaled, _row(builder, to, at, lanes), align=_BYTES)
+        scaled = builder.fmul(_spread(builder, scale, long), builder.load(total))
+        there.store(builder, scaled, to, at)
         return context.get_dummy_value()
 
     one, two, three = ([types.intp] * count for count in (1, 2, 3))
-    signature = types.void(to, *one, base, *one, source, *two, factors, *three, types.float64, width)
+    signature = types.void(to, *one, base, *one, source, *two, factors, *three, there.number, width)
     return (signature, emit) if _fixed(width) else None
 
 
@@ -167,53 +198,60 @@ def _take_outer(typing, to, at, left, a, right, b, count, height, width, upper):
 
     ``upper``: only from the block of the diagonal on; what is left of it keeps what it had. Less than ``_LEAST`` is 0.
     """
+    place = _Place(to)
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         to, at, left, a, right, b, count, *_ = arguments
         stride, number = width.literal_value, at.type
-        for first, rows, column in _bands(height.literal_value, stride, upper.literal_value):
-            lanes = stride - column
-            targets = [
-                _row(builder, to, builder.add(at, number((first + r) * stride + column)), lanes) for r in range(rows)
-            ]
-            totals = [cgutils.alloca_once_value(builder, _load(builder, target)) for target in targets]
+        bands = _bands if place.each == 1 else _tiles
+        for first, rows, column, long in bands(height.literal_value, stride, upper.literal_value):
+            places = [builder.add(at, number((first + r) * stride + column)) for r in range(rows)]
+            totals = [cgutils.alloca_once_value(builder, place.load(builder, to, each, long)) for each in places]
             with cgutils.for_range(builder, count) as loop:
                 line = builder.mul(loop.index, number(stride))
-                row = _load(builder, _row(builder, right, builder.add(builder.add(b, number(column)), line), lanes))
+                row = place.load(builder, right, builder.add(builder.add(b, number(column)), line), long)
                 for r, total in enumerate(totals):
-                    factor = _load(builder, builder.gep(left, [builder.add(builder.add(a, number(first + r)), line)]))
-                    scaled = builder.fmul(_spread(builder, factor, lanes), row)
+                    factor = place.load_number(builder, left, builder.add(builder.add(a, number(first + r)), line))
+                    scaled = builder.fmul(_spread(builder, factor, long), row)
                     builder.store(builder.fsub(builder.load(total), scaled), total)
-            for target, total in zip(targets, totals, strict=True):
-                builder.store(_flush(builder, builder.load(total)), target, align=_BYTES)
+            for each, total in zip(places, totals, strict=True):
+                place.store(builder, _flush(builder, builder.load(total)), to, each)
         return context.get_dummy_value()
 
     signature = types.void(to, types.intp, left, types.intp, right, types.intp, types.intp, height, width, upper)
     return (signature, emit) if _fixed(width) and _fixed(height) and isinstance(upper, types.BooleanLiteral) else None
 
 
-def _bands(height: int, stride: int, upper: bool) -> Iterator[tuple[int, int, int]]:
-    """Rows to work on together: first row, how many, first column. As many as registers hold, with what they share."""
+def _bands(height: int, stride: int, upper: bool) -> Iterator[tuple[int, int, int, int]]:
+    """Rows to work on together: first row, how many, first column, to the end. As many as registers hold."""
     first = 0
     while first < height:
         column = first // _BLOCK * _BLOCK if upper else 0
         rows = min(_BLOCK if stride - column <= _NARROW else 2, height - first)
-        yield first, rows, column
+        yield first, rows, column, stride - column
         first += rows
+
+
+def _tiles(height: int, stride: int, upper: bool) -> Iterator[tuple[int, int, int, int]]:
+    """The same of lanes, in pieces of rows, as each number is a vector."""
+    for first in range(0, height, 2):
+        for column in range(first // _BLOCK * _BLOCK if upper else 0, stride, _BLOCK):
+            yield first, min(2, height - first), column, _BLOCK
 
 
 def _transpose(typing, to, at, source, start, width):  # noqa: ARG001  numba reads this signature
     """The width x width matrix at ``at`` becomes the transpose of the one at ``start``, by 4 x 4 blocks."""
+    place = _Place(to)
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
-        lanes = width.literal_value
-        for i in range(0, lanes, _BLOCK):
-            for j in range(0, lanes, _BLOCK):
-                place = [builder.add(arguments[3], arguments[3].type((i + r) * lanes + j)) for r in range(_BLOCK)]
-                block = [_load(builder, _row(builder, arguments[2], p, _BLOCK)) for p in place]
-                for r, row in enumerate(_turn(builder, block)):
-                    place_to = builder.add(arguments[1], arguments[1].type((j + r) * lanes + i))
-                    builder.store(row, _row(builder, arguments[0], place_to, _BLOCK), align=_BYTES)
+        to, at, source, start, _ = arguments
+        long, number = width.literal_value, at.type
+        for i in range(0, long, _BLOCK):
+            for j in range(0, long, _BLOCK):
+                starts = [builder.add(start, number((i + r) * long + j)) for r in range(_BLOCK)]
+                block = [place.load(builder, source, each, _BLOCK) for each in starts]
+                for r, row in enumerate(_turn(builder, block, place.each)):
+                    place.store(builder, row, to, builder.add(at, number((j + r) * long + i)))
         return context.get_dummy_value()
 
     return (types.void(to, types.intp, source, types.intp, width), emit) if _fixed(width) else None
@@ -221,40 +259,45 @@ def _transpose(typing, to, at, source, start, width):  # noqa: ARG001  numba rea
 
 def _mirror(typing, to, at, width):  # noqa: ARG001  numba reads this signature
     """What lies below the diagonal of the width x width matrix at ``at`` becomes what lies above it."""
+    place = _Place(to)
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         to, at, _ = arguments
-        lanes = width.literal_value
+        long = width.literal_value
 
-        def place(row: int, column: int) -> Any:
-            return _row(builder, to, builder.add(at, at.type(row * lanes + column)), _BLOCK)
+        def offset(row: int, column: int) -> Any:
+            return builder.add(at, at.type(row * long + column))
 
-        mask = ir.VectorType(ir.IntType(32), _BLOCK)
-        for i in range(0, lanes, _BLOCK):
-            for j in range(i, lanes, _BLOCK):
-                block = [_load(builder, place(i + r, j)) for r in range(_BLOCK)]
-                for r, row in enumerate(_turn(builder, block)):
+        for i in range(0, long, _BLOCK):
+            for j in range(i, long, _BLOCK):
+                block = [place.load(builder, to, offset(i + r, j), _BLOCK) for r in range(_BLOCK)]
+                for r, row in enumerate(_turn(builder, block, place.each)):
                     kept = row
-                    if i == j:  # lanes of the turned block below the diagonal, its own on and above
+                    if i == j:  # numbers of the turned block below the diagonal, its own on and above
                         choice = [c if c < r else _BLOCK + c for c in range(_BLOCK)]
-                        kept = builder.shuffle_vector(row, block[r], ir.Constant(mask, choice))
-                    builder.store(kept, place(j + r, i), align=_BYTES)
+                        kept = _shuffle(builder, row, block[r], choice, place.each)
+                    place.store(builder, kept, to, offset(j + r, i))
         return context.get_dummy_value()
 
     return (types.void(to, types.intp, width), emit) if _fixed(width) else None
 
 
-def _turn(builder: Any, rows: list[Any]) -> list[Any]:
-    """The columns of four vectors of four."""
-    mask = ir.VectorType(ir.IntType(32), _BLOCK)
+def _turn(builder: Any, rows: list[Any], each: int) -> list[Any]:
+    """The columns of four rows of four."""
 
-    def pick(pair: list[Any], lanes: list[int]) -> Any:
-        return builder.shuffle_vector(pair[0], pair[1], ir.Constant(mask, lanes))
+    def pick(pair: list[Any], numbers: list[int]) -> Any:
+        return _shuffle(builder, pair[0], pair[1], numbers, each)
 
     low = [pick(pair, [0, 4, 2, 6]) for pair in (rows[:2], rows[2:])]
     high = [pick(pair, [1, 5, 3, 7]) for pair in (rows[:2], rows[2:])]
     first, second = [0, 1, 4, 5], [2, 3, 6, 7]
     return [pick(low, first), pick(high, first), pick(low, second), pick(high, second)]
+
+
+def _shuffle(builder: Any, p: Any, q: Any, numbers: list[int], each: int) -> Any:
+    """A row of numbers of p and, behind these, q."""
+    order = [number * each + lane for number in numbers for lane in range(each)]
+    return builder.shuffle_vector(p, q, ir.Constant(ir.VectorType(ir.IntType(32), len(order)), order))
 
 
 class Copy(Protocol):

@@ -7,6 +7,7 @@ or 2e-16 absolute near the zeros of sine and cosine.
 
 import math
 
+from fuselog.fusion.kernel.lanes import everywhere, where
 from fuselog.schemas.compiled import inline
 
 # pi/2 in three parts; the first two have 33 bits, so that whole multiples of them are exact
@@ -19,10 +20,11 @@ _MOST_TURNS = 1e6  # the largest angle (rad) that is reduced by them; greater on
 @inline
 def wrap(angle: float) -> float:
     """The same angle in (-pi, pi]."""
-    if -math.pi < angle <= math.pi:
+    inside = (angle > -math.pi) & (angle <= math.pi)
+    if everywhere(inside):
         return angle
     turned = (angle + math.pi) % (2 * math.pi)
-    return math.pi if turned == 0.0 else turned - math.pi
+    return where(inside, angle, where(turned == 0.0, math.pi, turned - math.pi))
 
 
 @inline
@@ -60,8 +62,8 @@ def sin(angle: float) -> float:
     """Sine."""
     rest, quarter = _eighth(angle)
     sine, cosine = _sin_series(rest), _cos_series(rest)
-    value = cosine if quarter & 1 else sine
-    return -value if quarter & 2 else value
+    value = where((quarter & 1) != 0, cosine, sine)
+    return where((quarter & 2) != 0, -value, value)
 
 
 @inline
@@ -69,8 +71,8 @@ def cos(angle: float) -> float:
     """Cosine."""
     rest, quarter = _eighth(angle)
     sine, cosine = _sin_series(rest), _cos_series(rest)
-    value = sine if quarter & 1 else cosine
-    return -value if (quarter + 1) & 2 else value
+    value = where((quarter & 1) != 0, sine, cosine)
+    return where(((quarter + 1) & 2) != 0, -value, value)
 
 
 @inline
@@ -101,14 +103,12 @@ def atan2(y: float, x: float) -> float:
         angle = 0.0
     elif math.isinf(small):
         angle = math.pi / 4
-    elif small > (math.sqrt(2.0) - 1.0) * large:
-        angle = math.pi / 4 - _atan_series((large - small) / (large + small))
     else:
-        angle = _atan_series(small / large)
-    if high > wide:
-        angle = math.pi / 2 - angle
-    if math.copysign(1.0, x) < 0.0:
-        angle = math.pi - angle
+        near = small > (math.sqrt(2.0) - 1.0) * large  # the diagonal, from which the angle is then taken
+        found = _atan_series(where(near, large - small, small) / where(near, large + small, large))
+        angle = where(near, math.pi / 4 - found, found)
+    angle = where(high > wide, math.pi / 2 - angle, angle)
+    angle = where(math.copysign(1.0, x) < 0.0, math.pi - angle, angle)
     return math.copysign(angle, y)
 
 
@@ -121,19 +121,17 @@ def asin(x: float) -> float:
 @inline
 def sinc(x: float) -> float:
     """sin(x)/x; by its series where the quotient loses accuracy."""
-    if abs(x) < 1e-3:
-        square = x * x
-        return 1.0 - square / 6.0 * (1.0 - square / 20.0)
-    return sin(x) / x
+    square, small = x * x, abs(x) < 1e-3
+    series = 1.0 - square / 6.0 * (1.0 - square / 20.0)
+    return series if everywhere(small) else where(small, series, sin(x) / x)
 
 
 @inline
 def dsinc(x: float) -> float:
     """Derivative of sin(x)/x; by its series where the difference cancels."""
-    if abs(x) < 1e-2:
-        square = x * x
-        return -x / 3.0 * (1.0 - square / 10.0 * (1.0 - square / 28.0))
-    return (cos(x) - sin(x) / x) / x
+    square, small = x * x, abs(x) < 1e-2
+    series = -x / 3.0 * (1.0 - square / 10.0 * (1.0 - square / 28.0))
+    return series if everywhere(small) else where(small, series, (cos(x) - sin(x) / x) / x)
 
 
 @inline
@@ -158,8 +156,8 @@ def root_versine(square: float) -> float:
 @inline
 def root_gap(square: float) -> float:
     """(r - sin(r))/r³ of the square of r; by its series where the difference cancels."""
-    if square < 0.5:
-        t = 1 / 362880 - square * (1 / 39916800 - square * (1 / 6227020800 - square / 1307674368000))
-        return 1 / 6 - square * (1 / 120 - square * (1 / 5040 - square * t))
+    small = square < 0.5
+    t = 1 / 362880 - square * (1 / 39916800 - square * (1 / 6227020800 - square / 1307674368000))
+    series = 1 / 6 - square * (1 / 120 - square * (1 / 5040 - square * t))
     root = math.sqrt(square)
-    return (1.0 - sin(root) / root) / square
+    return series if everywhere(small) else where(small, series, (1.0 - sin(root) / root) / square)

@@ -107,7 +107,7 @@ def carry(tables: Tables, history: History, work: Work, k: int, role: int) -> in
     width = MARKS + tables.S * SENSOR_MARKS
     for i in range(width):
         history.marks[k * width + i] = history.marks[(k - 1) * width + i]
-    before, now = history.marks[marks_at(tables, k - 1) + AT], moment(tables, history.t[k])
+    before, now = int(history.marks[marks_at(tables, k - 1) + AT]), moment(tables, history.t[k])
     elapsed = 0 if before == NEVER else whole_steps(tables, now - before)
     remember(tables, history, k, max(elapsed, 0))
     fault = FUSED

@@ -14,6 +14,9 @@ SAMPLE_WIDTH = 3  # numbers that come with a sample besides what was measured: t
 Ints = Annotated[Any, np.int64]
 Floats = Annotated[Any, np.float64]
 Bytes = Annotated[Any, np.uint8]
+# The same of each filter's own where a kernel moves several; all others of whole numbers are the same for them.
+OwnInts = Annotated[Any, np.int64, "own"]
+OwnBytes = Annotated[Any, np.uint8, "own"]
 
 
 class Role(IntEnum):
@@ -123,18 +126,18 @@ class History(NamedTuple):
 
     capacity: int  # C
     cursor: Ints  # (3,) head, tail, newest stamp admitted
-    counts: Ints  # (S, DECISIONS) the ledger
+    counts: OwnInts  # (S, DECISIONS) the ledger
     t: Ints  # (C,)
     sensor: Ints  # (C,)
     seq: Ints  # (C,)
-    decision: Bytes  # (C,)
+    decision: OwnBytes  # (C,)
     z: Floats  # (C, M + SAMPLE_WIDTH)
     R: Floats  # (C, M * M)
-    marks: Ints  # (C, MARKS + S * SENSOR_MARKS) what is remembered besides the state, such as the moment that it is of
+    marks: OwnInts  # (C, MARKS + S * SENSOR_MARKS) what is remembered besides the state, such as the moment that it is of
     learned: Floats  # (C, learned) factors on noises, and stretches that may be standstills
     state: Floats  # (C, ROW)
     nis: Floats  # (C,)
-    dof: Ints  # (C,)
+    dof: OwnInts  # (C,)
     nu: Floats  # (C, M)
     S: Floats  # (C, M) variances of the innovations
     absorbed: Floats  # (C, M) diagonal of H G
@@ -168,6 +171,7 @@ class Work(NamedTuple):
     modest: Ints  # (1,) whether the short form of the covariance will do for it
     q: Floats  # (K,) q with the process noise as it is learned
     here: Ints  # (S,) the last entry of each sensor in the moment, or -1
+    single: Ints  # of several filters: the places of each one's tables, and of a history and a work for one of them
 
 
 class Linear(NamedTuple):
@@ -182,10 +186,10 @@ class Linear(NamedTuple):
 class Rows(NamedTuple):
     """What a kernel writes for each event; flat arrays that become a ``Track``, x and P with LD to spare."""
 
-    t_ns: Ints  # (n,)
-    decision: Bytes  # (n,)
+    t_ns: OwnInts  # (n,)
+    decision: OwnBytes  # (n,)
     nis: Floats  # (n,)
-    dof: Ints  # (n,)
+    dof: OwnInts  # (n,)
     x: Floats  # (n, N)
     P: Floats  # (n, N (N + 1) / 2)
     nu: Floats  # (n, M)

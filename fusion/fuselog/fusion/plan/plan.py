@@ -41,7 +41,16 @@ class Plan:
     @property
     def kernel(self) -> ModuleType:
         """The compiled filter."""
-        return kernel_module(self.model, self.measured, self.config.filter.kind, careful=bool(self.tables.care.any()))
+        return self._kernel(abreast=False)
+
+    @property
+    def abreast(self) -> ModuleType:
+        """The same, compiled for several filters that see the same samples with other numbers."""
+        return self._kernel(abreast=True)
+
+    def _kernel(self, *, abreast: bool) -> ModuleType:
+        careful = bool(self.tables.care.any())
+        return kernel_module(self.model, self.measured, self.config.filter.kind, careful=careful, abreast=abreast)
 
     @property
     def states(self) -> tuple[str, ...]:
