@@ -1,5 +1,6 @@
 """The estimator: events in, track out."""
 
+from fuselog.fusion.abreast import advance_each
 from fuselog.fusion.commands import Answer, Command, CommandError, Configure, Reset, SetState
 from fuselog.fusion.config import Config, load_config, parse_config
 from fuselog.fusion.engine import Engine, Estimate, Learned, Snapshot
@@ -42,6 +43,7 @@ __all__ = [
     "Stream",
     "Ticked",
     "Track",
+    "advance_each",
     "compile_plan",
     "join_tracks",
     "load_config",

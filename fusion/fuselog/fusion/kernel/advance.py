@@ -5,6 +5,7 @@ import math
 from fuselog.fusion.kernel.alone import make
 from fuselog.fusion.kernel.blank import LD, N
 from fuselog.fusion.kernel.fields import record_at
+from fuselog.fusion.kernel.lanes import everywhere, tally, where
 from fuselog.fusion.kernel.layout import (
     AT,
     COVARIANCE,
@@ -19,7 +20,6 @@ from fuselog.fusion.kernel.layout import (
     SENSOR_MARKS,
     UNDECIDED,
 )
-from fuselog.fusion.kernel.lanes import everywhere, where, tally
 from fuselog.fusion.kernel.moments import marks_at, moment
 from fuselog.fusion.kernel.rows import row_copy
 from fuselog.fusion.kernel.soundness import wrong

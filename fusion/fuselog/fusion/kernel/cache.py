@@ -30,7 +30,10 @@ _CAREFUL, _PLAIN = ("robust", "standstill"), ("plain",)  # the first where a sen
 _AFTER = ("step", "alone", "advance", "linear", "smooth")
 _ABREAST = ("step", "abreast", "advance")  # instead, in a kernel that moves several filters
 _SOURCES = (_HERE, _HERE.parent / "models")  # what a kernel is made of
-_OWN = {f"fuselog.fusion.kernel.{n}" for n in ("blank", *_BEFORE, *_FILTERS.values(), *_CAREFUL, *_PLAIN, *_AFTER, *_ABREAST)}
+_OWN = {
+    f"fuselog.fusion.kernel.{n}"
+    for n in ("blank", *_BEFORE, *_FILTERS.values(), *_CAREFUL, *_PLAIN, *_AFTER, *_ABREAST)
+}
 _HEAD = '''"""Made by fuselog from the model {name}; delete freely."""
 
 import math
@@ -125,7 +128,13 @@ def kernel_module(
         available = measurable(model)
         generated = generate(model, {q: combination(q) if is_combination(q) else available[q] for q in measured})
         texts = ("matrices",) if model.by_matrices else ()
-        texts = (*texts, *_BEFORE, _FILTERS[kind], *(_CAREFUL if careful else _PLAIN), *(_ABREAST if abreast else _AFTER))
+        texts = (
+            *texts,
+            *_BEFORE,
+            _FILTERS[kind],
+            *(_CAREFUL if careful else _PLAIN),
+            *(_ABREAST if abreast else _AFTER),
+        )
         text = _HEAD.format(name=model.name) + _decorate(generated) + _join(texts)
         small = len(model.states) <= SMALL
         if abreast:
@@ -160,10 +169,11 @@ def _key(declared: Declaration, *measured: str) -> str:
 
 @cache
 def _common() -> bytes:
-    """What all kernels of this process are made of: the texts, and who compiles them."""
+    """A digest of what all kernels of this process are made of: the texts, and who compiles them."""
     texts = [path.read_text() for folder in _SOURCES for path in sorted(folder.glob("*.py"))]
     versions = [importlib.metadata.version(package) for package in ("numba", "llvmlite", "numpy")]
-    return b"".join(text.encode() + b"\0" for text in (*texts, *versions, platform.python_version()))
+    made_of = (text.encode() + b"\0" for text in (*texts, *versions, platform.python_version()))
+    return hashlib.sha256(b"".join(made_of)).digest()
 
 
 def _store(path: Path, text: str) -> None:

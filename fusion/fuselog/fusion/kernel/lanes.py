@@ -8,7 +8,8 @@ lane. ``where`` and ``everywhere`` are for decisions that may differ.
 # Numba passes compiler objects that have no types to check.
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
 # pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportUnknownLambdaType=false
-# pyright: reportMissingTypeStubs=false, reportIncompatibleMethodOverride=false, reportUntypedFunctionDecorator=false
+# pyright: reportMissingTypeStubs=false, reportIncompatibleMethodOverride=false, reportUntypedClassDecorator=false
+# pyright: reportOptionalCall=false, reportAttributeAccessIssue=false
 
 import math
 import operator
@@ -17,9 +18,10 @@ from typing import Any, Final, Protocol, cast
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils, typing
-from numba.core.typing.templates import AbstractTemplate, infer_global
-from numba.extending import intrinsic, lower_builtin, lower_cast, models, overload, register_model
+from numba.core import cgutils
+from numba.core.typeconv.castgraph import Conversion
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
 LANES: Final = 8  # filters that go together: a vector of the widest processors there are
 
@@ -40,10 +42,8 @@ class _Vector(types.Type):
 
     def can_convert_from(self, _context: Any, other: types.Type) -> Any:
         accepted = types.Boolean if self.single is types.boolean else types.Number
-        return types_safe if isinstance(other, accepted) else None
+        return Conversion.safe if isinstance(other, accepted) else None
 
-
-types_safe = __import__("numba.core.typeconv", fromlist=["Conversion"]).Conversion.safe
 
 lanes = _Vector("lanes", types.float64, _DOUBLE)
 lane_ints = _Vector("lane_ints", types.int64, _WORD)
@@ -100,7 +100,7 @@ def _set(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 class _GetTyping(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002  numba's protocol
         if isinstance(args[0], LanesAt):
-            return typing.signature(args[0].held, args[0], types.intp)
+            return signature(args[0].held, args[0], types.intp)
         return None
 
 
@@ -108,7 +108,7 @@ class _GetTyping(AbstractTemplate):
 class _SetTyping(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002  numba's protocol
         if isinstance(args[0], LanesAt):
-            return typing.signature(types.none, args[0], types.intp, args[0].held)
+            return signature(types.none, args[0], types.intp, args[0].held)
         return None
 
 
@@ -150,7 +150,7 @@ def _each(kinds: tuple[_Vector, ...], result: Any, functions: tuple[Any, ...], e
                 arg is kind or isinstance(arg, (types.Number, types.Boolean))
                 for arg, kind in zip(args, kinds, strict=True)
             )
-            return typing.signature(result, *kinds) if fits else None
+            return signature(result, *kinds) if fits else None
 
     def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         return emit(context, builder, *arguments)
@@ -220,7 +220,8 @@ for _name, _functions in {
     "fdiv": (operator.truediv, operator.itruediv),
 }.items():
     _each(_two, lanes, _functions, _instruction(_name))
-for _sign, _function in {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq}.items():
+_ORDERED = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq}
+for _sign, _function in _ORDERED.items():
     _each(_two, mask, (_function,), _compare("fcmp_ordered", _sign))
 _each(_two, mask, (operator.ne,), _compare("fcmp_unordered", "!="))
 _each(_two, lanes, (operator.mod, operator.imod), _one_by_one(operator.mod))
@@ -253,18 +254,20 @@ class _PowTyping(AbstractTemplate):
     prefer_literal = True
 
     def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002  numba's protocol
-        fits = args[0] is lanes and isinstance(args[1], types.Integer)
-        return typing.signature(lanes, lanes, args[1]) if fits else None
+        fits = args[0] is lanes and isinstance(args[1], types.Number)
+        shared = args[1] if isinstance(args[1], types.Integer) else types.float64
+        return signature(lanes, lanes, shared) if fits else None
 
 
-@lower_builtin(operator.pow, lanes, types.Integer)
+@lower_builtin(operator.pow, lanes, types.Number)
 def _power(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     """A power that is the same for all; of two as numba does it where it is written so."""
     exponent = signature.args[1]
     if isinstance(exponent, types.IntegerLiteral) and exponent.literal_value == 2:
         return builder.fmul(arguments[0], arguments[0])
-    whole = context.cast(builder, arguments[1], exponent, types.int64)
-    return _one_by_one(operator.pow, types.int64)(context, builder, arguments[0], whole)
+    kind = types.int64 if isinstance(exponent, types.Integer) else types.float64
+    power = context.cast(builder, arguments[1], exponent, kind)
+    return _one_by_one(operator.pow, kind)(context, builder, arguments[0], power)
 
 
 # -- decisions
@@ -272,11 +275,16 @@ def _power(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 def _alike(builder: Any, bits: Any) -> Any:
     """Whether the mask holds in all lanes; counts where it holds in some only."""
-    word = builder.bitcast(bits, _BYTE)
-    everywhere, nowhere = builder.icmp_unsigned("==", word, _BYTE((1 << LANES) - 1)), builder.icmp_unsigned("==", word, _BYTE(0))
-    with builder.if_then(builder.not_(builder.or_(everywhere, nowhere)), likely=False):
+    every = _every(builder, bits)
+    none = builder.icmp_unsigned("==", builder.bitcast(bits, _BYTE), _BYTE(0))
+    with builder.if_then(builder.not_(builder.or_(every, none)), likely=False):
         builder.atomic_rmw("add", _counter(builder), _WORD(1), "monotonic")
-    return everywhere
+    return every
+
+
+def _every(builder: Any, bits: Any) -> Any:
+    """Whether the mask holds in all lanes."""
+    return builder.icmp_unsigned("==", builder.bitcast(bits, _BYTE), _BYTE((1 << LANES) - 1))
 
 
 def _counter(builder: Any) -> Any:
@@ -291,7 +299,7 @@ def _counter(builder: Any) -> Any:
 @infer_global(bool)
 class _BoolTyping(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002  numba's protocol
-        return typing.signature(types.boolean, mask) if args == (mask,) else None
+        return signature(types.boolean, mask) if args == (mask,) else None
 
 
 @lower_builtin(bool, mask)
@@ -302,7 +310,7 @@ def _bool(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
 @infer_global(int)
 class _IntTyping(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002  numba's protocol
-        return typing.signature(types.int64, lane_ints) if args == (lane_ints,) else None
+        return signature(types.int64, lane_ints) if args == (lane_ints,) else None
 
 
 @lower_builtin(int, lane_ints)
@@ -317,13 +325,13 @@ def _everywhere(typing_context: Any, condition: Any) -> Any:  # noqa: ARG001  nu
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         if condition is mask:
-            return builder.icmp_unsigned("==", builder.bitcast(arguments[0], _BYTE), _BYTE((1 << LANES) - 1))
+            return _every(builder, arguments[0])
         return arguments[0]
 
     return types.boolean(condition), emit
 
 
-def _where(typing_context: Any, condition: Any, then: Any, otherwise: Any) -> Any:
+def _where(typing_context: Any, condition: Any, then: Any, otherwise: Any) -> Any:  # noqa: ARG001  numba reads this signature
     """``then`` where the condition holds, else ``otherwise``; both are known."""
     wide = lanes if lanes in (then, otherwise) or condition is mask else types.float64
 
@@ -334,6 +342,8 @@ def _where(typing_context: Any, condition: Any, then: Any, otherwise: Any) -> An
 
 
 def _disagreements(typing_context: Any) -> Any:  # noqa: ARG001  numba reads this signature
+    """How often lanes have disagreed, in all threads."""
+
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         return builder.load_atomic(_counter(builder), "monotonic", 8)
 
