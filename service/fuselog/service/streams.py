@@ -11,7 +11,7 @@ import zenoh
 
 from fuselog.fusion import Stream
 from fuselog.fusion.intake import TF_STATIC, Intake, same_topic
-from fuselog.schemas import FuselogError, SchemaError, definition
+from fuselog.schemas import FuselogError, SchemaError, definition, rihs01
 from fuselog.service.wire import message_type
 from fuselog.service.zenoh_door import alive, answer, ask
 
@@ -130,10 +130,11 @@ class Streams:
 
     def identify(self, key: str, media: str) -> int | str:
         """The number of the stream that carries samples of ``key`` with this encoding of Zenoh's."""
-        encoding, name = message_type(media)
+        encoding, said = message_type(media)
+        name, _, hashed = said.partition(";")
         told = [s for s in self._learn(key) if encoding in ("", s.encoding) and name in ("", s.schema_name)]
         try:
-            stream = told[0] if told else _known(key, encoding or "cdr", name or self._types.get(key, ""))
+            stream = told[0] if told else _known(key, encoding or "cdr", name or self._types.get(key, ""), hashed)
             if stream not in self._numbers:
                 number = max(self._numbers.values(), default=-1) + 1
                 self._intake.open(number, stream)
@@ -147,12 +148,15 @@ class Streams:
         self._numbers = {stream: number for number, stream in streams.items()}
 
 
-def _known(key: str, encoding: str, name: str) -> Stream:
+def _known(key: str, encoding: str, name: str, hashed: str) -> Stream:
     if not name:
         raise SchemaError(key, "the publisher does not say its type; name it in the configuration (type)")
     if encoding != "cdr":
         raise SchemaError(name, f"the publisher does not give the definition that {encoding} needs")
-    return Stream(topic=key, encoding="cdr", schema_name=name, schema_encoding="ros2msg", schema_text=definition(name))
+    text = definition(name)
+    if hashed.startswith("RIHS01_") and hashed != rihs01(name, text):
+        raise SchemaError(name, f"the publisher has another definition: its hash is {hashed}")
+    return Stream(topic=key, encoding="cdr", schema_name=name, schema_encoding="ros2msg", schema_text=text)
 
 
 def stream_types(topics: Mapping[str, str | None]) -> dict[str, str]:

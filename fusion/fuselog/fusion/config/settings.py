@@ -363,6 +363,12 @@ class TlsSettings(Settings):
     verify_name: bool = Field(True, description="connect only where the certificate is for the endpoint's host")
 
 
+class RosSettings(Settings):
+    """ROS 2 by rmw_zenoh: its keys beside the plain ones, for what is read and what is published."""
+
+    domain: Annotated[int, Field(ge=0, le=232)] = Field(0, description="ROS_DOMAIN_ID")
+
+
 class ZenohSettings(Settings):
     """How the service meets others. The default listens on loopback only and looks for nobody."""
 
@@ -382,6 +388,7 @@ class ZenohSettings(Settings):
     cache: Annotated[int, Field(ge=0, le=1_000_000)] = Field(
         0, description="samples of each output that are kept for who missed them; 0: none, and no recovery"
     )
+    ros: RosSettings | None = Field(None, description="topics of ROS 2 as rmw_zenoh has them, beside plain keys")
     raw: dict[str, Any] = Field(default_factory=dict, description="any other key of Zenoh's configuration by its path")
 
 

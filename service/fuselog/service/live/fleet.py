@@ -14,11 +14,12 @@ from typing import Literal, TypeVar
 import zenoh
 
 from fuselog.fusion import Estimate, load_plan
-from fuselog.fusion.captures import ByPattern, Captures, KeyPattern
+from fuselog.fusion.captures import ByPattern, Captures
 from fuselog.fusion.commands import Command, CommandError, Configure
+from fuselog.fusion.intake import TF_STATIC
 from fuselog.replay.recording import RecordingStatus
 from fuselog.service.live.checkpoints import read_checkpoint, remove_checkpoint, write_checkpoint
-from fuselog.service.live.group import Group, make_group
+from fuselog.service.live.group import Group, Subscription, make_group
 from fuselog.service.live.inbox import Inbox
 from fuselog.service.live.member import Member, Snapshot
 from fuselog.service.live.outbox import Outbox, Post
@@ -28,6 +29,7 @@ from fuselog.service.live.sources import Progress
 from fuselog.service.live.warm import warm_up
 from fuselog.service.progress import tell_progress
 from fuselog.service.recording.filter_recorder import FilterRecorder
+from fuselog.service.ros_keys import announce_node
 from fuselog.service.streams import Announcements, Hearsay, stream_types
 from fuselog.service.threads import Worker, WorkerError
 from fuselog.service.zenoh_door import subscribe, subscribe_reliably
@@ -65,6 +67,8 @@ class Fleet:
         self._claim.hold()
         self.session, self._groups = session, groups
         self._post, self._told = Post(), Announcements(session, outputs=True)
+        domains = {group.ros_domain for group in groups}
+        self._leave = [announce_node(session, domain=domain) for domain in domains if domain is not None]
         self._source = secrets.token_bytes(16)
         self._saved_at: dict[Group, float] = {}
         self._unsaved: dict[str, str] = {}  # filters whose last checkpoint could not be written, and why
@@ -73,7 +77,7 @@ class Fleet:
         self._runner = Runner(groups, Inbox(), self._make, flush=self._post.flush, shown=shown)
         self._publishing = Worker("publisher", self._post.run, ended)
         self._fusing = Worker("filter", self._runner.run, ended)
-        self._unsubscribe = [self._subscribe(number, *each) for number, each in enumerate(self._runner.subscriptions)]
+        self._unsubscribe = [self._subscribe(number, each) for number, each in enumerate(self._runner.subscriptions)]
         # Last, for a player takes the answer as a sign that all subscriptions have been announced before.
         self._fall_silent = [
             tell_progress(session, _plain(group.plan.config.id), partial(self._progress, group)) for group in groups
@@ -153,6 +157,8 @@ class Fleet:
         self._post.finish()
         self._publishing.join(_PUBLISH_S)
         self._claim.end()
+        for leave in self._leave:
+            leave()
         for recorder in self._recorders.values():
             recorder.finish()
         for worker in (self._fusing, self._publishing):
@@ -202,14 +208,16 @@ class Fleet:
         except OSError as error:  # the filters go on
             self._unsaved[id] = error.strerror or str(error)
 
-    def _subscribe(self, number: int, group: Group, pattern: KeyPattern) -> Callable[[], None]:
+    def _subscribe(self, number: int, to: Subscription) -> Callable[[], None]:
+        group, topic = to.group, to.pattern.topic
         recorder, put = self._recorders.get(group), partial(self._runner.inbox.put, number)
         take = put if recorder is None else partial(_record_and_put, recorder, put)
         topics = {sensor.settings.topic: sensor.settings for sensor in group.plan.sensors}
-        if pattern.topic in topics and topics[pattern.topic].reliable:
+        latched = to.domain is not None and topic == TF_STATIC  # of ROS 2, which keeps it for who comes later
+        if latched or (topic in topics and topics[topic].reliable):
             missed = partial(self._miss, number)
-            return subscribe_reliably(self.session, pattern.expression, take, missed=missed)
-        return subscribe(self.session, pattern.expression, take)
+            return subscribe_reliably(self.session, to.expression, take, missed=missed)
+        return subscribe(self.session, to.expression, take)
 
     def _miss(self, number: int, _publisher: str, count: int) -> None:
         """Samples that nobody has any more, on the network thread."""

@@ -2,11 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 from fuselog.fusion import Plan
 from fuselog.fusion.captures import DEFAULT_ID, Captures, KeyPattern, captured, fill, id_of, patterns_of, plan_of
 from fuselog.fusion.config import Problem
+from fuselog.fusion.intake import same_topic
 from fuselog.schemas import missing_extra
+from fuselog.service.ros_keys import ros_key, ros_subscription
 from fuselog.service.transport import TransportError, key_of
 
 
@@ -21,6 +24,18 @@ class Group:
     patterns: tuple[KeyPattern, ...]
     names: tuple[str, ...]  # of the captures; none where it makes one filter
 
+    @property
+    def ros_domain(self) -> int | None:
+        """The domain of ROS 2 that its topics are in, too; None for none."""
+        ros = self.plan.config.zenoh.ros
+        return None if ros is None else ros.domain
+
+    @property
+    def subscriptions(self) -> list["Subscription"]:
+        """What it reads."""
+        domains = [None] if self.ros_domain is None else [None, self.ros_domain]
+        return [Subscription(self, pattern, domain) for pattern in self.patterns for domain in domains]
+
     def plan_of(self, captures: Captures) -> Plan:
         """The plan of one of its filters."""
         return plan_of(self.plan, captures)
@@ -28,6 +43,26 @@ class Group:
     def id_of(self, captures: Captures) -> str:
         """What the filter is called."""
         return id_of(self.plan, captures)
+
+
+@dataclass(frozen=True)
+class Subscription:
+    """One topic of a group, which may capture names: its plain keys, or those that it has in a domain of ROS 2."""
+
+    group: Group
+    pattern: KeyPattern
+    domain: int | None
+
+    @cached_property
+    def expression(self) -> str:
+        """All its keys, in Zenoh's own form."""
+        plain = self.pattern.expression
+        return plain if self.domain is None else ros_subscription(plain, None, domain=self.domain)
+
+    def plain(self, key: str) -> str:
+        """A key of it as the filters know it."""
+        ros = None if self.domain is None else ros_key(key)
+        return key if ros is None else same_topic(ros.topic)
 
 
 def make_group(plan: Plan) -> Group:
@@ -55,6 +90,8 @@ def make_group(plan: Plan) -> Group:
     if extra:
         reason = f"another package writes it: pip install 'fuselog[{extra}]'"
         problems.append(Problem(("output", "encoding"), reason))
+    if plan.config.zenoh.ros is not None and plan.config.output.encoding != "cdr":
+        problems.append(Problem(("output", "encoding"), "ROS 2 (zenoh: ros) reads nothing but cdr"))
     if problems:
         raise plan.source.complain(problems)
     return Group(plan, patterns, names)

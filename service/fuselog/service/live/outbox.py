@@ -4,7 +4,9 @@ import queue
 import time
 from collections import deque
 from collections.abc import Callable, Container
+from dataclasses import dataclass
 from functools import partial
+from itertools import chain, count
 from typing import Literal
 
 import numpy as np
@@ -15,12 +17,14 @@ from fuselog.fusion.health import HEALTH
 from fuselog.fusion.outputs import ESTIMATE
 from fuselog.schemas import Messages, pack
 from fuselog.service.live.encodings import stream_of, transcoder_of
+from fuselog.service.ros_keys import announce, ros_publication
 from fuselog.service.streams import Announcements
 from fuselog.service.transport import key_of
 from fuselog.service.wire import Tag, media_type, write_tag
 from fuselog.service.zenoh_door import Publisher
 
 _LATENCIES = 1000
+_NUMBERS = count(1)  # of publishers that ROS 2 lists
 
 
 class Post:
@@ -80,15 +84,17 @@ class Outbox:
         self.topics = (*outputs, *(Output(f"{base}/{name}", kind) for name, kind in live.items()))
         self._live = {name: len(outputs) + number for number, name in enumerate(live)}  # what a clock says, and no log
         self._post, self._told, self._source = post, told, source
-        self._sequence = [0] * len(self.topics)
         transcoders = [transcoder_of(plan.config.output.encoding, output.schema_name) for output in self.topics]
         self._convert = [each.convert for each in transcoders]
         media = [media_type(each.encoding, each.schema_name) for each in transcoders]
         self._keys = [key_of(output.topic) for output in self.topics]
-        self._publishers = [
-            Publisher(session, key, kind, cache=plan.config.zenoh.cache)
-            for key, kind in zip(self._keys, media, strict=True)
+        cache, ros = plan.config.zenoh.cache, plan.config.zenoh.ros
+        self._ways = [
+            [_Way(Publisher(session, key, kind, cache=cache))] for key, kind in zip(self._keys, media, strict=True)
         ]
+        for ways, output in zip(self._ways, self.topics, strict=True):
+            if ros is not None:
+                ways.append(_ros_way(session, output, ros.domain, cache))
         streams = [stream_of(*each) for each in zip(self.topics, transcoders, strict=True)]
         told.add({key: [stream] for key, stream in zip(self._keys, streams, strict=True)})
 
@@ -97,7 +103,7 @@ class Outbox:
         """The streams that somebody subscribes to or records, by number."""
         if self.record is not None:
             return range(len(self.topics))
-        return {number for number, publisher in enumerate(self._publishers) if publisher.wanted}
+        return {number for number, ways in enumerate(self._ways) if any(way.publisher.wanted for way in ways)}
 
     def offer(self, messages: Messages, *, since_ns: int | None = None) -> None:
         """Give what ``Outputs.encode`` made to the publishing thread; ``since_ns``: when the oldest sample came."""
@@ -133,20 +139,37 @@ class Outbox:
 
     def _publish(self, messages: Messages, since_ns: int | None) -> int:
         data = messages.data.data
-        wanted = [publisher.wanted for publisher in self._publishers]
+        wanted = [[way for way in ways if way.publisher.wanted] for ways in self._ways]
         streams, times = messages.stream.tolist(), messages.log_time.tolist()
         starts, lengths = messages.start.tolist(), messages.length.tolist()
         for stream, t_ns, start, length in zip(streams, times, starts, lengths, strict=True):
             if wanted[stream]:
-                self._sequence[stream] += 1
-                tag = Tag(self._sequence[stream], t_ns, self._source)
                 payload = self._convert[int(stream)](data[start : start + length])
-                self._publishers[int(stream)].put(payload, write_tag(tag))
+                for way in wanted[int(stream)]:
+                    way.sent += 1
+                    way.publisher.put(payload, write_tag(Tag(way.sent, t_ns, self._source)))
         if since_ns is not None:
             self.latencies_ns.append(time.monotonic_ns() - since_ns)
         return len(messages)
 
     def _undeclare(self) -> int:
-        for publisher in self._publishers:
-            publisher.close()
+        for way in chain.from_iterable(self._ways):
+            way.end_announcement()
+            way.publisher.close()
         return 0
+
+
+@dataclass(slots=True)
+class _Way:
+    """A key under which results go out, with numbers of its own."""
+
+    publisher: Publisher
+    sent: int = 0
+    end_announcement: Callable[[], None] = lambda: None
+
+
+def _ros_way(session: zenoh.Session, output: Output, domain: int, cache: int) -> _Way:
+    """Where ROS 2 finds an output, and the token by which it lists it."""
+    key = ros_publication(output.topic, output.schema_name, domain=domain)
+    end = announce(session, next(_NUMBERS), output.topic, output.schema_name, domain=domain)
+    return _Way(Publisher(session, key, media_type("cdr", output.schema_name), cache=cache), end_announcement=end)

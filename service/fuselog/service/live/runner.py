@@ -8,10 +8,10 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import TypeVar
 
-from fuselog.fusion.captures import Captures, KeyPattern
+from fuselog.fusion.captures import Captures
 from fuselog.schemas import FuselogError
 from fuselog.service.live.feeding import Feeding
-from fuselog.service.live.group import Group
+from fuselog.service.live.group import Group, Subscription
 from fuselog.service.live.inbox import Arrival, Inbox, Request
 from fuselog.service.live.member import Member, Snapshot
 from fuselog.service.live.sources import Run
@@ -49,10 +49,8 @@ class Runner:
         """``flush`` lets go out what filters have given away; ``shown`` is called when there are new snapshots."""
         self.inbox = inbox
         self._make, self._flush, self._shown, self._feeding = make, flush, shown, Feeding()
-        self._subscriptions: list[tuple[Group, KeyPattern]] = [
-            (group, pattern) for group in groups for pattern in group.patterns
-        ]
-        self._keys = [pattern.key for _, pattern in self._subscriptions]
+        self._subscriptions = [each for group in groups for each in group.subscriptions]
+        self._keys = [each.pattern.key for each in self._subscriptions]
         self._members: dict[str, Member] = {}
         self._ids: dict[tuple[Group, Captures], str] = {}
         self._routes: dict[tuple[int, str], list[Target]] = {}
@@ -75,8 +73,8 @@ class Runner:
         self._show()
 
     @property
-    def subscriptions(self) -> list[tuple[Group, KeyPattern]]:
-        """What to subscribe to, and for whom, by number."""
+    def subscriptions(self) -> list[Subscription]:
+        """What to subscribe to, by number."""
         return self._subscriptions
 
     def ask(self, id: str, question: Callable[[Member], T]) -> "Future[T]":
@@ -179,12 +177,13 @@ class Runner:
 
     def _find(self, subscription: int, key: str) -> list[Target]:
         """Which filters a sample is for; none for one of an unknown key, which is counted."""
-        group, pattern = self._subscriptions[subscription]
-        captures = pattern.match(key)
+        mine = self._subscriptions[subscription]
+        group, plain = mine.group, mine.plain(key)
+        captures = mine.pattern.match(plain)
         if captures is None:
             return self._refuse(key, "no filter can have this name")
-        if not pattern.names:
-            targets = [(m, m.keys.index(key)) for m in self._members.values() if m.group is group]
+        if not mine.pattern.names:
+            targets = [(m, m.keys.index(plain)) for m in self._members.values() if m.group is group]
             if targets:
                 self._routes[subscription, key] = targets
             return targets or self._refuse(key, "there is no filter yet that it belongs to")
@@ -194,7 +193,7 @@ class Runner:
             if reason:
                 return self._refuse(key, reason)
         member = self._members[self._ids[identity]]
-        self._routes[subscription, key] = [(member, member.keys.index(key))]
+        self._routes[subscription, key] = [(member, member.keys.index(plain))]
         return self._routes[subscription, key]
 
     def _refusal(self, group: Group, captures: Captures) -> str:
@@ -245,7 +244,7 @@ class Runner:
             self._ended.popitem(last=False)
 
     def _forget_routes(self, group: Group) -> None:
-        numbers = {n for n, (g, _) in enumerate(self._subscriptions) if g is group}
+        numbers = {n for n, each in enumerate(self._subscriptions) if each.group is group}
         self._routes = {route: to for route, to in self._routes.items() if route[0] not in numbers}
 
     def _expire(self, now: float) -> None:
@@ -288,15 +287,15 @@ class Runner:
 
     def _turn_away(self, member: Member) -> None:
         shed, oversized = self._of(self.inbox.shed, member), self._of(self.inbox.oversized, member)
-        lost = {(n, self._subscriptions[n][1].expression): count for n, count in [*self.missed.items()]}
+        lost = {(n, self._subscriptions[n].pattern.expression): count for n, count in [*self.missed.items()]}
         member.turn_away(shed=shed, oversized=oversized, missed=self._of(lost, member))
 
     def _of(self, counted: Mapping[tuple[int, str], int], member: Member) -> list[int]:
         """How many of each key of a filter."""
         counts = Counter[str]()
         for (subscription, key), count in [*counted.items()]:
-            if self._subscriptions[subscription][0] is member.group:
-                counts[key] += count
+            if self._subscriptions[subscription].group is member.group:
+                counts[self._subscriptions[subscription].plain(key)] += count
         return [counts[key] for key in member.keys]
 
     def _show(self) -> None:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from fuselog.service.batch import Batch
 from fuselog.service.live.inbox import Arrival
+from fuselog.service.ros_keys import media_of
 from fuselog.service.wire import UNTAGGED, tag_fields
 
 _MOST_SOURCES = 4096
@@ -73,7 +74,7 @@ class Sources:
                 source.received += 1
                 source.last = sequence
             else:
-                source = self._open(key, str(sample.encoding), sequence, gid, since_ns)
+                source = self._open(key, media_of(sample), sequence, gid, since_ns)
                 if source is None:
                     continue
             t_ns = t_ns if t_ns > 0 else arrival_ns
