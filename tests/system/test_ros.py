@@ -5,13 +5,14 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import zenoh
+from tests.logs import static_transform
 from tests.system.conftest import Service, free_port, run
-from tests.system.publishing import IMU, ODOMETRY, Sent, drive, fused, until
+from tests.system.publishing import EPOCH, IMU, ODOMETRY, Sent, drive, fused, until
 
 from fuselog.fusion import compile_plan, parse_config
 from fuselog.service.transport import Endpoints, open_session
 from fuselog.service.wire import Tag, read_tag, write_tag
-from fuselog.service.zenoh_door import alive, subscribe
+from fuselog.service.zenoh_door import Publisher, alive, subscribe
 
 Serve = Callable[[str], Service]
 KEYS = {  # by type, as rmw_zenoh_cpp of Jazzy has them
@@ -94,6 +95,27 @@ def test_a_filter_for_each_robot(serve: Serve) -> None:
 
 def ids(service: Service) -> list[str]:
     return [each["id"] for each in service.get("/api/v1/filters")["filters"]]
+
+
+def test_a_mount_that_was_told_before(serve: Serve) -> None:
+    """/tf_static of a node that keeps it for who comes later: published once, before the service."""
+    key = "3/tf_static/tf2_msgs::msg::dds_::TFMessage_/TypeHashNotSupported"
+    told = static_transform([EPOCH], parent="base_link", child="imu_link", xyz=[0.1, 0, 0], xyzw=[0, 0, 0, 1])
+    payload, _ = told.encode()
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    text = CONFIG + SENSORS.replace("PLACE", "").replace(
+        "yaw_rate: 0.02}", "yaw_rate: 0.02}, mount: from_tf, frame: imu_link"
+    )
+    with open_session(Endpoints(listen=[endpoint]), timeout_s=5) as robot:
+        kept = Publisher(robot, key, "zenoh/bytes", cache=1)
+        kept.put(payload.tobytes(), write_tag(Tag(1, EPOCH, ROBOT)))
+        service = serve(f"{text}zenoh: {{mode: client, connect: [{endpoint}], ros: {{domain: 3}}}}\n")
+        send(robot, drive("", seconds=0.5))
+        account = until(
+            lambda: service.get("/api/v1/filters/filter/health")["sensors"]["imu"]["account"],
+            lambda account: account["fused"] == 50,
+        )
+    assert account["fused"] == 50
 
 
 def test_another_definition_is_not_taken(serve: Serve) -> None:
