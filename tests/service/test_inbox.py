@@ -59,6 +59,15 @@ def test_bytes_are_bounded_too() -> None:
     assert len(inbox.take(0)) == 1
 
 
+def test_what_is_recorded() -> None:
+    """All that comes, before it can be taken out, and whether it was let in."""
+    inbox, recorded = Inbox(capacity=1, patience_s=0.01, largest=10), list[tuple[int, bool, bool]]()
+    for size in (1, 2, 11):
+        inbox.put(0, sample(b"x" * size), lambda s, let_in: recorded.append((len(s.payload), let_in, inbox.empty)))
+    assert recorded == [(1, True, True), (2, False, False), (11, False, False)]
+    assert (inbox.shed, inbox.oversized) == ({(0, "key"): 1}, {(0, "key"): 1})
+
+
 def test_a_full_queue_holds_the_sender_back() -> None:
     """With a consumer that is only slow nothing is shed: the sender is slowed down."""
     inbox = Inbox(capacity=10, patience_s=5)

@@ -18,8 +18,8 @@ from typer.testing import CliRunner
 from fuselog.fusion import Outputs, Stream, compile_plan, parse_config
 from fuselog.replay import Channel, LogWriter, RawMessage, is_output, open_log
 from fuselog.replay.recording import Account, Recording, RecordingStatus, RecordOptions
-from fuselog.replay.reprocess import stream_of
-from fuselog.schemas import Messages, definition, pack
+from fuselog.replay.reprocess import reprocess, stream_of
+from fuselog.schemas import CdrEncoder, Messages, definition, pack
 from fuselog.service.cli import make_app
 from fuselog.service.recording.declared import describe
 from fuselog.service.recording.recorder import Recorder
@@ -304,6 +304,36 @@ def test_a_flood_of_keys(sessions, record, monkeypatch):
     assert status.accounts["(other topics)"].limit == 300 - 69
 
 
+def test_what_no_filter_got(sessions, tmp_path):
+    """It is recorded apart: filters as_received are not given it, and those in the order of stamps are."""
+    theirs, ours = sessions
+    recorder = Recorder(Recording(tmp_path / "a.mcap"), partial(describe, Hearsay(ours), {}), selection=Selection())
+    subscribe(ours, "speed", lambda s: recorder.put(0, s, turned_away=s.payload.to_bytes()[-1] == 1))
+    time.sleep(0.3)
+    encoder = CdrEncoder(TWIST, definition(TWIST), columns=["twist.linear.x"])
+    for number in range(10):
+        payload, _ = encoder.encode(np.array([(number + 1) * S]), np.array([[1.0]]))
+        theirs.put("speed", payload.tobytes() + bytes([number % 3 == 1]), encoding=media_type("cdr", TWIST))
+    while recorder.status.total.written < 10:
+        time.sleep(0.01)
+    recorder.finish()
+    config = f"""
+fuselog: 1
+model: {{name: constant_velocity}}
+initial: {{state: {{x: 0, y: 0, vx: 0, vy: 0}}}}
+sensors: {{speed: {{topic: speed, type: {TWIST}, fuse: [vx], fields: {{vx: twist.linear.x}}, noise: {{vx: 0.1}}}}}}
+"""
+    plan = compile_plan(*parse_config(config))
+    with open_log(tmp_path / "a.mcap") as log:
+        assert sorted((c.topic, c.metadata.get("fuselog", "")) for c in log.channels.values()) == [
+            ("speed", ""),
+            ("speed", "turned_away"),
+        ]
+        assert len(reprocess(log, plan, order="by_stamp")) == 10
+        received = reprocess(log, plan, order="as_received")
+    assert (received.stamp_ns // S).tolist() == [1, 3, 4, 6, 7, 9, 10]
+
+
 def test_a_full_spool_refuses_at_once():
     spool: Spool[int] = Spool(capacity_bytes=10_000)
     started = time.monotonic()
@@ -345,7 +375,7 @@ sensors: {gps: {topic: /gps, fuse: [x, y], noise: {x: 1, y: 1}}}
     outputs = Outputs(compile_plan(*parse_config(config)))
     recorder = Recorder(
         Recording(tmp_path / "a.mcap", RecordOptions()),
-        partial(describe, sessions[1], {}),
+        partial(describe, Hearsay(sessions[1]), {}),
         selection=Selection(),
     )
     payloads = [b"estimate", b"decision"]

@@ -21,7 +21,7 @@ from fuselog.replay.log.channels import Channel
 from fuselog.replay.log.loss import Loss
 from fuselog.replay.opening import open_log
 from fuselog.replay.smoothing import smoothed, smoothing_plan
-from fuselog.replay.tracks import TrackWriter, is_output
+from fuselog.replay.tracks import TrackWriter, is_output, was_turned_away
 from fuselog.schemas import Messages, schema_to_text
 
 _UNDER_WAY = 3  # batches of tracks that may wait to be written
@@ -245,10 +245,13 @@ def stream_of(channel: Channel) -> Stream:
 def open_inputs(log: Log, filter: Filter) -> set[str]:
     """Connect the log's channels, but for outputs of an earlier run, to the filter; returns the topics that it uses.
 
+    Nor does one ``as_received`` get what the service that recorded the log had no room for.
     Raises ``ConfigError`` for a topic that is not there, or whose messages cannot feed the sensor, and for topics that
     capture names.
     """
     require_none(filter.plan)
     inputs = [channel for channel in log.channels.values() if not is_output(channel)]
+    if filter.order == "as_received":
+        inputs = [channel for channel in inputs if not was_turned_away(channel)]
     filter.intake.require({channel.topic: None for channel in inputs})
     return {channel.topic for channel in inputs if filter.intake.open(channel.id, stream_of(channel))}

@@ -23,6 +23,11 @@ def is_output(channel: Channel) -> bool:
     return channel.schema.name in _OUTPUTS or channel.metadata.get("fuselog") == "output"
 
 
+def was_turned_away(channel: Channel) -> bool:
+    """Whether a service recorded what it had no room for, and no filter got."""
+    return channel.metadata.get("fuselog") == "turned_away"
+
+
 class TrackWriter:
     """An output log; raises ``LogError`` when it cannot be written."""
 

@@ -20,6 +20,7 @@ from fuselog.fusion.report import estimate_json, ledger_json
 from fuselog.replay import Log
 from fuselog.replay.play import playable, source_of
 from fuselog.replay.reprocess import run as fused
+from fuselog.replay.tracks import was_turned_away
 from fuselog.schemas import Messages
 from fuselog.service.live.fleet import Fleet
 from fuselog.service.live.group import make_group
@@ -104,7 +105,7 @@ def _live(log: Log, plan: Plan, expected: list["_Kept"], kept: list["_Kept"]) ->
             subscribe(listener, key_of(each.output.topic), partial(_take, each))
         fleet = Fleet([make_group(plan)], session, ended=lambda: None)
         time.sleep(0.5)  # until the service knows who listens
-        channels = playable(log)
+        channels = [channel for channel in playable(log) if not was_turned_away(channel)]
         source = source_of(log, channels, "log")
         names = {channel.topic: channel.topic for channel in channels}
         pace = Pace(rate=None, paused=False, delay_s=0.0, clock_hz=None)

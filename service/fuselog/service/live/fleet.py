@@ -210,8 +210,9 @@ class Fleet:
 
     def _subscribe(self, number: int, to: Subscription) -> Callable[[], None]:
         group, topic = to.group, to.pattern.topic
-        recorder, put = self._recorders.get(group), partial(self._runner.inbox.put, number)
-        take = put if recorder is None else partial(_record_and_put, recorder, put)
+        recorder, take = self._recorders.get(group), partial(self._runner.inbox.put, number)
+        if recorder is not None:
+            take = partial(take, record=recorder.put)
         topics = {sensor.settings.topic: sensor.settings for sensor in group.plan.sensors}
         latched = to.domain is not None and topic == TF_STATIC  # of ROS 2, which keeps it for who comes later
         if latched or (topic in topics and topics[topic].reliable):
@@ -264,12 +265,6 @@ def _recorder(group: Group, hearsay: Hearsay, snapshot: threading.Event) -> Filt
         return None
     types = stream_types({sensor.settings.topic: sensor.settings.type for sensor in group.plan.sensors})
     return FilterRecorder(settings, hearsay, ByPattern(types), snapshot)
-
-
-def _record_and_put(recorder: FilterRecorder, put: Callable[[zenoh.Sample], None], sample: zenoh.Sample) -> None:
-    """A sample on the network thread; recorded first, for the filter may hold it up."""
-    recorder.put(sample)
-    put(sample)
 
 
 def _saved(group: Group, id: str) -> bytes | None:

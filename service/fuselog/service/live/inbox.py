@@ -15,6 +15,13 @@ _MOST_KEYS = 1000  # whose shed samples are counted apart
 Arrival = tuple[int, zenoh.Sample, int, int]
 
 
+Record = Callable[[zenoh.Sample, bool], None]
+
+
+def _nowhere(_sample: zenoh.Sample, _let_in: bool) -> None:
+    """Recorded by nobody."""
+
+
 class Request(NamedTuple):
     """Something to be done by the thread that owns the filters, at its place in the order of arrival."""
 
@@ -51,16 +58,17 @@ class Inbox:
         """Whether nothing waits."""
         return not self._waiting
 
-    def put(self, subscription: int, sample: zenoh.Sample) -> None:
-        """Take in a sample."""
+    def put(self, subscription: int, sample: zenoh.Sample, record: Record = _nowhere) -> None:
+        """Take in a sample; ``record`` gets it before anybody takes it out, and whether it was let in."""
         size = len(sample.payload)
         with self._lock:
-            if size > self._largest:
-                _count(self.oversized, subscription, sample)
-            elif not self._fits(size) and not self._wait_for_room(size):
-                _count(self.shed, subscription, sample)
-            else:
+            small = size <= self._largest
+            let_in = small and (self._fits(size) or self._wait_for_room(size))
+            record(sample, let_in)
+            if let_in:
                 self._add((subscription, sample, time.time_ns(), time.monotonic_ns()), size)
+            else:
+                _count(self.shed if small else self.oversized, subscription, sample)
 
     def ask(self, do: Callable[[], None]) -> None:
         """Have something done in turn; there is always room for it."""

@@ -12,7 +12,7 @@ from fuselog.service.ros_keys import ros_key
 from fuselog.service.streams import Hearsay, bridged_type
 from fuselog.service.wire import message_type
 
-OUTPUT = {"fuselog": "output"}  # in the metadata of a channel
+OUTPUT, TURNED_AWAY = {"fuselog": "output"}, {"fuselog": "turned_away"}  # in the metadata of a channel
 
 
 class Declared(NamedTuple):

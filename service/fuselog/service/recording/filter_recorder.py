@@ -46,11 +46,11 @@ class FilterRecorder:
         recorder = self._recorder
         return self._last if recorder is None else recorder.status
 
-    def put(self, sample: zenoh.Sample) -> None:
-        """Take what a filter receives."""
+    def put(self, sample: zenoh.Sample, let_in: bool) -> None:
+        """Take what comes, and whether filters get it."""
         recorder = self._recorder
         if recorder is not None:
-            recorder.put(0, sample)
+            recorder.put(0, sample, turned_away=not let_in)
 
     def put_outputs(self, topics: Topics, messages: Messages) -> None:
         """Take what a filter publishes."""

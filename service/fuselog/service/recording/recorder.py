@@ -80,9 +80,9 @@ class Recorder:
         reason = f"{type(self._worker.error).__name__}: {self._worker.error}".splitlines()[0]
         return replace(self._status, state="stopped", reason=reason)
 
-    def put(self, subscription: int, sample: zenoh.Sample) -> None:
-        """Take a sample; called on the network thread."""
-        if not self._spool.put(Sampled(subscription, sample), len(sample.payload)):
+    def put(self, subscription: int, sample: zenoh.Sample, *, turned_away: bool = False) -> None:
+        """Take a sample; called on the network thread. ``turned_away``: the service had no room for it."""
+        if not self._spool.put(Sampled(subscription, sample, turned_away), len(sample.payload)):
             self._drop({(subscription, str(sample.key_expr)): 1})
 
     def put_outputs(self, topics: Topics, messages: Messages) -> None:

@@ -11,7 +11,7 @@ from fuselog.replay.recording import Recording
 from fuselog.schemas import Messages
 from fuselog.service.batch import Batch
 from fuselog.service.live.sources import Progress
-from fuselog.service.recording.declared import Declared
+from fuselog.service.recording.declared import TURNED_AWAY, Declared
 from fuselog.service.recording.selection import Selection
 from fuselog.service.recording.spool import Arrived
 from fuselog.service.wire import UNTAGGED, Tag, read_tag
@@ -22,13 +22,15 @@ _MOST_PUBLISHERS = 4096
 _PATIENCE_S, _LONGEST_PATIENCE_S = 2.0, 60.0  # until the network is asked again for a type
 
 Describe = Callable[[str, str], Declared]
+_Identity = tuple[int, str, str, bool]  # subscription, key, Zenoh's encoding, whether no filter got it
 
 
 class Sampled(NamedTuple):
-    """A sample, and the number of the subscription on which it came."""
+    """A sample, the number of the subscription on which it came, and whether no filter got it."""
 
     subscription: int
     sample: zenoh.Sample
+    turned_away: bool
 
 
 @dataclass(slots=True)
@@ -59,15 +61,15 @@ class SampledStreams:
 
     def __init__(self, recording: Recording, describe: Describe, selection: Selection) -> None:
         self._recording, self._describe, self._selection = recording, describe, selection
-        self._streams: dict[tuple[int, str, str], _Stream] = {}
+        self._streams: dict[_Identity, _Stream] = {}
         self._publishers: dict[tuple[bytes, str], _Publisher] = {}  # by their bytes and key
 
     def messages(self, arrived: Sequence[Arrived[Sampled]]) -> Messages:
         """The samples that are recorded, with the time of arrival as log time."""
         batch = Batch()
-        for (subscription, sample), arrival_ns in arrived:
+        for (subscription, sample, turned_away), arrival_ns in arrived:
             key = str(sample.key_expr)
-            stream = self._stream(subscription, key, str(sample.encoding))
+            stream = self._stream((subscription, key, str(sample.encoding), turned_away))
             if not stream.wanted or sample.kind != zenoh.SampleKind.PUT:
                 continue
             attachment = sample.attachment
@@ -86,7 +88,7 @@ class SampledStreams:
 
     def drop(self, subscription: int, key: str, count: int) -> None:
         """Account for samples for which there was no room, if they were to be recorded."""
-        known = (stream for (n, k, _), stream in self._streams.items() if (n, k) == (subscription, key))
+        known = (stream for (n, k, *_), stream in self._streams.items() if (n, k) == (subscription, key))
         stream = next(known, None) or self._unnamed(subscription, key)
         if stream.wanted:
             self._recording.drop(stream.topic, "queue", count)
@@ -98,21 +100,20 @@ class SampledStreams:
             table.setdefault(source.hex(), {})[key] = Progress(publisher.received, publisher.missed)
         return table
 
-    def _stream(self, subscription: int, key: str, media: str) -> _Stream:
-        identity = (subscription, key, media)
+    def _stream(self, identity: _Identity) -> _Stream:
         stream = self._streams.get(identity)
         if stream is None:
             if len(self._streams) >= _MOST_STREAMS:
-                return self._unnamed(subscription, key)
-            stream = self._streams[identity] = self._open(subscription, key, media)
+                return self._unnamed(identity[0], identity[1])
+            stream = self._streams[identity] = self._open(*identity)
         elif stream.ask_at < time.monotonic():
-            self._ask_again(stream, key, media)
+            self._ask_again(stream, *identity[1:])
         return stream
 
-    def _open(self, subscription: int, key: str, media: str) -> _Stream:
+    def _open(self, subscription: int, key: str, media: str, turned_away: bool) -> _Stream:
         if self._recording.full or not self._selection.takes(subscription, key):
             return self._unnamed(subscription, key)
-        declared = self._describe(key, media)
+        declared = self._declared(key, media, turned_away)
         wanted = self._selection.names(declared.topic)
         channel = self._add(declared) if wanted else None
         ask_at = time.monotonic() + _PATIENCE_S if wanted and not declared.schema.name else float("inf")
@@ -123,8 +124,13 @@ class SampledStreams:
         wanted = self._selection.takes(subscription, key) and self._selection.names(key)
         return _Stream(key, wanted, None, 0.0, float("inf"))
 
-    def _ask_again(self, stream: _Stream, key: str, media: str) -> None:
+    def _declared(self, key: str, media: str, turned_away: bool) -> Declared:
+        """The channel; what no filter got has one of its own."""
         declared = self._describe(key, media)
+        return declared._replace(metadata=declared.metadata | TURNED_AWAY) if turned_away else declared
+
+    def _ask_again(self, stream: _Stream, key: str, media: str, turned_away: bool) -> None:
+        declared = self._declared(key, media, turned_away)
         if declared.schema.name:
             stream.topic, stream.channel = declared.topic, self._add(declared)
             stream.ask_at = float("inf")
