@@ -10,11 +10,18 @@ import zenoh
 from fuselog.service.live.inbox import Inbox
 
 
+class Bytes(bytes):
+    """As much of Zenoh's bytes as is used."""
+
+    def to_bytes(self) -> bytes:
+        return bytes(self)
+
+
 class Sample:
     """As much of a sample as the inbox looks at."""
 
     def __init__(self, payload: bytes) -> None:
-        self.payload = payload
+        self.payload = Bytes(payload)
         self.key_expr = "key"
 
 

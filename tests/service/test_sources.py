@@ -1,11 +1,13 @@
 """Samples into batches: which stream, whose numbering, what is missed, and when the type is asked for again."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 from itertools import groupby
 from operator import itemgetter
 from typing import Any, cast
 
 import numpy as np
+import pytest
 import zenoh
 
 from fuselog.schemas import Messages
@@ -37,7 +39,13 @@ class Sample:
 def arrival(key: int, payload: bytes, tag: Tag | None = None, *, media: str = "good", at_ns: int = 5 * S) -> Arrival:
     """A sample as a filter takes it."""
     sample = Sample(payload, media, None if tag is None else write_tag(tag))
-    return key, cast(zenoh.Sample, cast(Any, sample)), at_ns, at_ns
+    return key, cast(zenoh.Sample, cast(Any, sample)), payload, at_ns
+
+
+@pytest.fixture(autouse=True)
+def one_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The monotonic clock shows the time of day."""
+    monkeypatch.setattr("fuselog.service.live.sources.ahead_ns", lambda: 0)
 
 
 def identify(key: str, media: str) -> int | str:
@@ -120,3 +128,35 @@ def test_sources_are_bounded() -> None:
     for number in range(5000):
         batched(sources, [arrival(0, b"x", Tag(1, S, number.to_bytes(16, "little")))])
     assert len(sources.progress()) == 4096
+
+
+def many(first: int, count: int = 50, source: bytes = A, *, at_ns: int = S) -> list[Arrival]:
+    """Samples that a publisher numbers one after the other."""
+    return [arrival(0, b"%d" % n, Tag(n, at_ns + n, source)) for n in range(first, first + count)]
+
+
+def test_many_at_once_are_as_one_by_one() -> None:
+    """Whole runs of one publisher, and runs with a gap, another publisher, no time, no number, and another form."""
+    odd = [
+        [],
+        [arrival(0, b"gap", Tag(60, 2 * S, A))],
+        [arrival(0, b"other", Tag(1, 2 * S, B))],
+        [arrival(0, b"none", Tag(51, 0, A))],
+        [arrival(0, b"untagged")],
+        [arrival(0, b"before", Tag(3, 2 * S, A))],
+        [(0, cast(zenoh.Sample, cast(Any, Sample(b"form", "good", None))), b"form", S)],
+    ]
+    for some in odd:
+        for runs in (
+            [many(1), many(51, 30), some, many(81)],
+            [many(1), [*many(51, 20), *some, *many(71, 20)], many(91)],
+        ):
+            together, single = Sources(["k0"], identify), Sources(["k0"], identify)
+            batches = Batch(), Batch()
+            together.collect([(0, run) for run in runs if run], batches[0])
+            single.collect([(0, [each]) for run in runs for each in run], batches[1])
+            found, wanted = (batch.messages() for batch in batches)
+            for column in fields(Messages):
+                mine, theirs = getattr(found, column.name), getattr(wanted, column.name)
+                assert (mine.tolist(), mine.dtype) == (theirs.tolist(), theirs.dtype), column.name
+            assert (together.progress(), together.missed) == (single.progress(), single.missed)

@@ -1,10 +1,15 @@
 """What a sample carries on Zenoh besides its payload: its number, its time, its source, and the type of the message."""
 
 import struct
+from collections.abc import Sequence
 from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 _ATTACHMENT: Final = struct.Struct("<qqB16s")  # as rmw_zenoh writes it; the gid has its length in front
 _GID_BYTES: Final = 16
+_ROW: Final = np.dtype([("sequence", "<i8"), ("t_ns", "<i8"), ("size", "u1"), ("source", "V16")])  # the same in numpy
 _MEDIA: Final = {"cdr": "application/cdr", "json": "application/json", "protobuf": "application/protobuf"}
 _ENCODINGS: Final = {media: encoding for encoding, media in _MEDIA.items()} | {"text/json": "json"}
 
@@ -36,6 +41,26 @@ def tag_fields(attachment: bytes) -> tuple[int, int, bytes]:
         return UNTAGGED
     sequence, t_ns, _, source = _ATTACHMENT.unpack(attachment)
     return sequence, t_ns, source
+
+
+class Tags(NamedTuple):
+    """The tags of samples that follow each other: numbers from ``first`` on, times (ns), one publisher."""
+
+    first: int
+    t_ns: NDArray[np.int64]
+    source: bytes
+
+
+def join_tags(attachments: Sequence[bytes]) -> Tags | None:
+    """The tags in these; None where they are not of one publisher, one after the other, all with a time."""
+    whole = b"".join(attachments)
+    if len(whole) != len(attachments) * _ATTACHMENT.size:
+        return None
+    rows = np.frombuffer(whole, _ROW)
+    first, source = int(rows["sequence"][0]), whole[17 : _ATTACHMENT.size]
+    follow = rows["sequence"] == first + np.arange(len(rows))
+    fit = follow & (rows["size"] == _GID_BYTES) & (rows["t_ns"] > 0) & (rows["source"] == rows["source"][0])
+    return Tags(first, rows["t_ns"].astype(np.int64), source) if fit.all() else None
 
 
 def media_type(encoding: str, schema_name: str) -> str:

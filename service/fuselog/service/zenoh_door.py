@@ -121,7 +121,9 @@ def _on_network_thread(put: Callable[[_T], None]) -> "zenoh.handlers.Callback[_T
     here = threading.local()
 
     def call(item: _T) -> None:
-        if not hasattr(here, "held"):
+        try:
+            here.held  # noqa: B018  whether it is there
+        except AttributeError:
             ctypes.pythonapi.PyGILState_Ensure()
             here.held = True
         put(item)

@@ -11,22 +11,17 @@ import zenoh
 _MOST_KEYS = 1000  # whose shed samples are counted apart
 
 
-# The number of the subscription on which a sample came, the sample, and when it came: by the clock, and monotonic (ns).
-Arrival = tuple[int, zenoh.Sample, int, int]
+# The number of the subscription on which a sample came, the sample, its payload, and when it came (monotonic ns).
+Arrival = tuple[int, zenoh.Sample, bytes, int]
 
 
 Record = Callable[[zenoh.Sample, bool], None]
-
-
-def _nowhere(_sample: zenoh.Sample, _let_in: bool) -> None:
-    """Recorded by nobody."""
 
 
 class Request(NamedTuple):
     """Something to be done by the thread that owns the filters, at its place in the order of arrival."""
 
     do: Callable[[], None]
-    arrival_ns: int
 
 
 class Inbox:
@@ -58,22 +53,28 @@ class Inbox:
         """Whether nothing waits."""
         return not self._waiting
 
-    def put(self, subscription: int, sample: zenoh.Sample, record: Record = _nowhere) -> None:
+    def put(self, subscription: int, sample: zenoh.Sample, record: Record | None = None) -> None:
         """Take in a sample; ``record`` gets it before anybody takes it out, and whether it was let in."""
-        size = len(sample.payload)
+        payload = sample.payload
+        size = len(payload)
         with self._lock:
             small = size <= self._largest
             let_in = small and (self._fits(size) or self._wait_for_room(size))
-            record(sample, let_in)
+            if record is not None:
+                record(sample, let_in)
             if let_in:
-                self._add((subscription, sample, time.time_ns(), time.monotonic_ns()), size)
+                self._waiting.append((subscription, sample, payload.to_bytes(), time.monotonic_ns()))
+                self._bytes += size
+                if self._asleep:
+                    self._arrived.notify()
             else:
                 _count(self.shed if small else self.oversized, subscription, sample)
 
     def ask(self, do: Callable[[], None]) -> None:
         """Have something done in turn; there is always room for it."""
         with self._lock:
-            self._add(Request(do, time.time_ns()), 0)
+            self._waiting.append(Request(do))
+            self._arrived.notify()
 
     def take(self, timeout_s: float) -> list[Arrival | Request]:
         """All that has come, waiting at most ``timeout_s`` for the first."""
@@ -85,12 +86,6 @@ class Inbox:
             taken, self._waiting, self._bytes = self._waiting, [], 0
             self._room.notify_all()
         return taken
-
-    def _add(self, item: Arrival | Request, size: int) -> None:
-        self._waiting.append(item)
-        self._bytes += size
-        if self._asleep:
-            self._arrived.notify()
 
     def _fits(self, size: int) -> bool:
         fits = len(self._waiting) < self.capacity and self._bytes + size <= self._capacity_bytes

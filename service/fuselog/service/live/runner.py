@@ -3,10 +3,12 @@
 import math
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import TypeVar
+from itertools import groupby
+from operator import itemgetter
+from typing import TypeVar, cast
 
 from fuselog.fusion.captures import Captures
 from fuselog.schemas import FuselogError
@@ -148,50 +150,44 @@ class Runner:
     def _turn(self, arrivals: Sequence[Arrival | Request]) -> None:
         """Bring samples to their filters, several at once, and do what was asked at its place among them."""
         batches: dict[Member, list[Run]] = {}
-        run, of = list[Arrival](), -1  # the samples of a subscription to one key, while they come one after another
-        for item in arrivals:
-            if isinstance(item, Request):
+        for of, items in groupby(arrivals, itemgetter(0)):  # the subscription, or what is asked
+            if not isinstance(of, int):
                 self._feed(batches)
-                item.do()
-                of = -1
-                continue
-            if item[0] != of:
-                run, of = self._begin_run(item, batches)
-            run.append(item)
+                of()
+            elif self._keys[of]:
+                self._send(of, self._keys[of], cast(list[Arrival], [*items]), batches)
+            else:
+                for key, some in groupby(cast(Iterable[Arrival], items), _key_of):
+                    self._send(of, key, [*some], batches)
         self._feed(batches)
 
-    def _begin_run(self, arrival: Arrival, batches: dict[Member, list[Run]]) -> tuple[list[Arrival], int]:
-        """Where a sample goes -> its run, and the subscription whose next samples go there too; -1 for none."""
-        subscription, sample, _, _ = arrival
-        only = self._keys[subscription]
-        route = subscription, only or str(sample.key_expr)
-        targets, run = self._routes.get(route) or self._find(*route), list[Arrival]()
-        for member, key in targets:
-            batches.setdefault(member, []).append((key, run))
-        return run, subscription if only and targets else -1
+    def _send(self, subscription: int, key: str, run: list[Arrival], batches: dict[Member, list[Run]]) -> None:
+        """Samples of a key to their filters."""
+        for member, number in self._routes.get((subscription, key)) or self._find(subscription, key, len(run)):
+            batches.setdefault(member, []).append((number, run))
 
     def _feed(self, batches: dict[Member, list[Run]]) -> None:
         self._feeding.feed(batches)
         self._stale.update(member.id for member in batches)
         batches.clear()
 
-    def _find(self, subscription: int, key: str) -> list[Target]:
-        """Which filters a sample is for; none for one of an unknown key, which is counted."""
+    def _find(self, subscription: int, key: str, count: int) -> list[Target]:
+        """Which filters so many samples are for; none for those of an unknown key, which are counted."""
         mine = self._subscriptions[subscription]
         group, plain = mine.group, mine.plain(key)
         captures = mine.pattern.match(plain)
         if captures is None:
-            return self._refuse(key, "no filter can have this name")
+            return self._refuse(key, count, "no filter can have this name")
         if not mine.pattern.names:
             targets = [(m, m.keys.index(plain)) for m in self._members.values() if m.group is group]
             if targets:
                 self._routes[subscription, key] = targets
-            return targets or self._refuse(key, "there is no filter yet that it belongs to")
+            return targets or self._refuse(key, count, "there is no filter yet that it belongs to")
         identity = (group, captures)
         if identity not in self._ids:
             reason = self._refusal(group, captures) or self._try(group, captures)
             if reason:
-                return self._refuse(key, reason)
+                return self._refuse(key, count, reason)
         member = self._members[self._ids[identity]]
         self._routes[subscription, key] = [(member, member.keys.index(plain))]
         return self._routes[subscription, key]
@@ -206,8 +202,8 @@ class Runner:
         name = group.id_of(captures)
         return f"there is a filter {name!r} already" if name in self._members else ""
 
-    def _refuse(self, key: str, reason: str) -> list[Target]:
-        self._unknown_samples += 1
+    def _refuse(self, key: str, count: int, reason: str) -> list[Target]:
+        self._unknown_samples += count
         self._unknown[key] = reason
         self._unknown.move_to_end(key)
         if len(self._unknown) > _MOST_UNKNOWN:
@@ -303,3 +299,7 @@ class Runner:
         self.ended = dict(self._ended)
         self.unknown = Unknown(self._unknown_samples, dict(self._unknown))
         self._shown()
+
+
+def _key_of(arrival: Arrival) -> str:
+    return str(arrival[1].key_expr)
