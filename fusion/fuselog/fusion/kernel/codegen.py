@@ -31,7 +31,7 @@ from fuselog.fusion.models.model import (
 )
 from fuselog.fusion.models.quantities import SAMPLE, SENSOR, combination_factors, is_factor
 
-LANES = 4  # rows of P are padded to a multiple of this many numbers
+MULTIPLE = 4  # rows of P are padded to a multiple of this many numbers
 
 
 class _Printer(PythonCodePrinter):
@@ -93,7 +93,7 @@ def _shown(name: str) -> str:
 
 
 def _padded(n: int) -> int:
-    return -(-n // LANES) * LANES
+    return -(-n // MULTIPLE) * MULTIPLE
 
 
 def _stored(model: Model) -> list[sp.Symbol]:
@@ -360,7 +360,7 @@ def _product(
     """
     lines, width = list[str](), _padded(n)
     for i in range(n):
-        column = i // LANES * LANES if upper else 0
+        column = i // MULTIPLE * MULTIPLE if upper else 0
         terms = {i: "1.0"} | {j: factor for (k, j), factor in sorted(off.items()) if k == i}
         starts = "".join(f"{at} + {j} * LD + {column}, " for j in terms)
         factors = "".join(f"{factor}, " for factor in terms.values())

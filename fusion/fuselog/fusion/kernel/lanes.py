@@ -169,7 +169,8 @@ def _compare(name: str, sign: str) -> Callable[..., Any]:
 
 
 def _choose(sign: str) -> Callable[..., Any]:
-    return lambda _context, builder, p, q: builder.select(builder.fcmp_ordered(sign, p, q), p, q)
+    """The second number where it is ahead of the first, as Python has it."""
+    return lambda _context, builder, p, q: builder.select(builder.fcmp_ordered(sign, q, p), q, p)
 
 
 def _vector_function(name: str) -> Callable[..., Any]:
