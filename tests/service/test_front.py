@@ -210,10 +210,26 @@ def test_it_cannot_begin(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.executable", "/bin/false")
     with bind("127.0.0.1", 0) as listener:
         desk = Desk(robot, listener)
+        assert not desk.front.wait()
         assert desk.over.wait(20)
         assert isinstance(desk.front.worker.error, FrontError)
         assert str(desk.front.worker.error) == "it ended before it answered, with status 1"
         desk.front.finish()
+
+
+def test_one_that_never_answers(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stopped before it has begun to serve: nobody waits for ever, and nobody says that all is ready."""
+    monkeypatch.setattr("fuselog.service.front.front._START_S", 1.0)
+    before = set(children())
+    with bind("127.0.0.1", 0) as listener:
+        desk = Desk(robot, listener)
+        (process,) = set(children()) - before
+        os.kill(process, signal.SIGSTOP)
+        assert not desk.front.wait()
+        assert desk.over.wait(20)
+        assert str(desk.front.worker.error) == "it did not answer within 1 s"
+        desk.front.finish()
+    assert set(children()) == before
 
 
 def test_it_ends_with_the_filters() -> None:

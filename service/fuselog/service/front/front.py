@@ -67,7 +67,7 @@ class Front:
         """``say`` is told when it had to begin anew, ``ended`` when it cannot."""
         self._served, self._listener, self._setup = served, listener, setup
         self._alive, self._ready, self._say = alive, ready, say
-        self._finishing, self._due = threading.Event(), threading.Event()
+        self._finishing, self._due, self._failed = threading.Event(), threading.Event(), ""  # why, if it has
         self._heard, self._renewed = threading.Event(), threading.Event()
         self._pool, self._lock = ThreadPoolExecutor(_THREADS, "question"), threading.Lock()
         self._begin()
@@ -79,10 +79,13 @@ class Front:
         """What is over when HTTP cannot be served any more."""
         return self._reading
 
-    def wait(self) -> None:
-        """Until it answers that all is ready, which it is."""
+    def wait(self) -> bool:
+        """Until it answers that all is ready, which it is -> whether it did; one that does not in time is ended."""
         self.soon()
-        self._heard.wait(_START_S)
+        if not self._heard.wait(_START_S):
+            self._failed = f"it did not answer within {_START_S:g} s"
+            self._process.kill()
+        return not self._failed
 
     def soon(self) -> None:
         """There are new snapshots to tell of."""
@@ -133,8 +136,10 @@ class Front:
             status = self._process.wait()
             if self._finishing.is_set():
                 return
-            if not answered:
-                raise FrontError(f"it ended before it answered, with status {status}")
+            if not answered or self._failed:
+                self._failed = self._failed or f"it ended before it answered, with status {status}"
+                self._heard.set()  # nobody need wait for it
+                raise FrontError(self._failed)
             self._say(f"the HTTP server ended with status {status}, and begins anew; the filters go on")
             self._finishing.wait(_AGAIN_S)
             with self._lock:

@@ -65,8 +65,8 @@ def serve(
                 fleet = Fleet(groups, session, ended=stop.set, snapshot=snapshot, shown=front.soon)
                 served.fleet = fleet
                 gc.freeze()  # walking all that is loaded would hold up samples for a tenth of a second
-                front.wait()
-                started(_address(listener, "http" if entrance.tls is None else "https"))
+                if front.wait():
+                    started(_address(listener, "http" if entrance.tls is None else "https"))
                 every_s = _tend_every_s(plans)
                 while not stop.wait(every_s):
                     fleet.tend()
