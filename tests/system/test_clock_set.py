@@ -22,9 +22,9 @@ wall, wall_ns, ahead = time.time, time.time_ns, [0]
 time.time = lambda: wall() + ahead[0]
 time.time_ns = lambda: wall_ns() + ahead[0] * 10**9
 put, counted = inbox.Inbox.put, itertools.count()
-def jump(self, subscription, sample):
+def jump(self, subscription, sample, record=None):
     ahead[0] = {600: 3600, 1500: -3600}.get(next(counted), ahead[0])
-    put(self, subscription, sample)
+    put(self, subscription, sample, record)
 inbox.Inbox.put = jump
 from fuselog.service.cli import main; main()
 """
