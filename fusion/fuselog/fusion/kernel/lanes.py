@@ -75,7 +75,7 @@ class _LanesAtModel(models.PrimitiveModel):
 # -- memory
 
 
-def place(builder: Any, pointer: Any, index: Any) -> Any:
+def _place(builder: Any, pointer: Any, index: Any) -> Any:
     """A pointer to the lanes of number ``index``."""
     first = builder.gep(pointer, [builder.mul(index, index.type(LANES))])
     return builder.bitcast(first, ir.VectorType(first.type.pointee, LANES).as_pointer())
@@ -83,7 +83,7 @@ def place(builder: Any, pointer: Any, index: Any) -> Any:
 
 def _get(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
     kind = signature.args[0]
-    value = builder.load(place(builder, *arguments), align=kind.kept.bitwidth // 8)
+    value = builder.load(_place(builder, *arguments), align=kind.kept.bitwidth // 8)
     return value if kind.held is lanes or kind.kept.bitwidth == 64 else builder.zext(value, _INTS)
 
 
@@ -92,7 +92,7 @@ def _set(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     kind = signature.args[0]
     if kind.kept.bitwidth < 64:
         value = builder.trunc(value, ir.VectorType(_BYTE, LANES))
-    builder.store(value, place(builder, pointer, index), align=kind.kept.bitwidth // 8)
+    builder.store(value, _place(builder, pointer, index), align=kind.kept.bitwidth // 8)
     return context.get_dummy_value()
 
 
@@ -119,7 +119,7 @@ lower_builtin(operator.setitem, LanesAt, types.Integer, _Vector)(_set)
 # -- from one to eight
 
 
-def spread(builder: Any, value: Any) -> Any:
+def _spread(builder: Any, value: Any) -> Any:
     """The value in every lane."""
     vector = ir.VectorType(value.type, LANES)
     one = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
@@ -128,7 +128,7 @@ def spread(builder: Any, value: Any) -> Any:
 
 
 def _widen(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:
-    return spread(builder, context.cast(builder, value, source, target.single))
+    return _spread(builder, context.cast(builder, value, source, target.single))
 
 
 for _source in (types.Number, types.Boolean, types.IntegerLiteral, types.BooleanLiteral):
@@ -297,28 +297,15 @@ def _counter(builder: Any) -> Any:
     return found
 
 
-@infer_global(bool)
-class _BoolTyping(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002  numba's protocol
-        return signature(types.boolean, mask) if args == (mask,) else None
-
-
-@lower_builtin(bool, mask)
-def _bool(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-    return _alike(builder, arguments[0])
-
-
-@infer_global(int)
-class _IntTyping(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002  numba's protocol
-        return signature(types.int64, lane_ints) if args == (lane_ints,) else None
-
-
-@lower_builtin(int, lane_ints)
-def _int(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-    first = builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), 0))
-    _alike(builder, builder.icmp_signed("==", arguments[0], spread(builder, first)))
+def _uniform(_context: Any, builder: Any, value: Any) -> Any:
+    """The number that all lanes have."""
+    first = builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
+    _alike(builder, builder.icmp_signed("==", value, _spread(builder, first)))
     return first
+
+
+_each((mask,), types.boolean, (bool,), lambda _context, builder, value: _alike(builder, value))
+_each((lane_ints,), types.int64, (int,), _uniform)
 
 
 def _everywhere(typing_context: Any, condition: Any) -> Any:  # noqa: ARG001  numba reads this signature

@@ -133,9 +133,7 @@ class History(NamedTuple):
     decision: OwnBytes  # (C,)
     z: Floats  # (C, M + SAMPLE_WIDTH)
     R: Floats  # (C, M * M)
-    marks: (
-        OwnInts  # (C, MARKS + S * SENSOR_MARKS) what is remembered besides the state, such as the moment that it is of
-    )
+    marks: OwnInts  # (C, MARKS + S * SENSOR_MARKS) what is remembered besides the state, such as its moment
     learned: Floats  # (C, learned) factors on noises, and stretches that may be standstills
     state: Floats  # (C, ROW)
     nis: Floats  # (C,)

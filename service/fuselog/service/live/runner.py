@@ -152,8 +152,9 @@ class Runner:
         batches: dict[Member, list[Run]] = {}
         for of, items in groupby(arrivals, itemgetter(0)):  # the subscription, or what is asked
             if not isinstance(of, int):
-                self._feed(batches)
-                of()
+                for item in cast(Iterable[Request], items):
+                    self._feed(batches)
+                    item.do()
             elif self._keys[of]:
                 self._send(of, self._keys[of], cast(list[Arrival], [*items]), batches)
             else:
