@@ -28,7 +28,7 @@ from tests.fusion.setups import Sample, events_of, make_plan, truth
 from fuselog.fusion import Engine, Events, Plan
 from fuselog.fusion.flat import make_samples
 from fuselog.fusion.kernel.fields import Block
-from fuselog.fusion.kernel.memory import blank_rows
+from fuselog.fusion.kernel.memory import rows_to_write
 
 SD, DENSITY, STEP_S = 0.3, 0.5, 0.01
 GOALS = {"constant_velocity_1d": 300, "constant_velocity": 100}
@@ -90,7 +90,7 @@ class Kernel:
         self._engine = Engine(plan, window_ns=0)
         self._start = self._engine.snapshot()
         self._samples = Block(make_samples(events))
-        self.rows = blank_rows(plan.kernel, events.size, plan.tables.M)
+        self.rows = rows_to_write(plan.kernel, plan.tables, events.size)
         self._rows = Block(self.rows)
 
     def run(self) -> None:
@@ -104,7 +104,7 @@ class Calls:
     def __init__(self, plan: Plan, events: Events) -> None:
         self._plan, self._events = plan, events
         self._samples = [Block(make_samples(events.take(slice(k, k + 1)))) for k in range(events.size)]
-        self._rows = Block(blank_rows(plan.kernel, 1, plan.tables.M))
+        self._rows = Block(rows_to_write(plan.kernel, plan.tables, 1))
 
     def run(self) -> None:
         engine = Engine(self._plan, window_ns=0)

@@ -12,7 +12,7 @@ from fuselog.fusion.flat import make_samples, make_track
 from fuselog.fusion.kernel.declared import LINEAR
 from fuselog.fusion.kernel.fields import Block, own_of
 from fuselog.fusion.kernel.lanes import LANES
-from fuselog.fusion.kernel.memory import blank_rows, empty_history, row_widths, scratch
+from fuselog.fusion.kernel.memory import aligned, empty_history, row_widths, rows_to_write, scratch
 from fuselog.fusion.kernel.tables import History, Rows, Samples, Tables
 from fuselog.fusion.newest import begin
 from fuselog.fusion.plan import Plan
@@ -21,7 +21,6 @@ from fuselog.schemas.compiled import kernel
 
 _BATCH = 1 << 14  # numbers of a filter, whose samples stay in the fast caches
 _CAPACITY = 16  # entries of a history at first
-_LINE = 64  # bytes that a vector of numbers begins at a multiple of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -95,7 +94,7 @@ class Abreast:
 
     def _grow(self) -> None:
         old = self._history.record
-        more = [_aligned(2 * len(column), column.dtype) for column in old[3:]]
+        more = [aligned(2 * len(column), column.dtype) for column in old[3:]]
         for before, after in zip(old[3:], more, strict=True):
             after[: len(before)] = before
         self._hold(History(2 * old.capacity, old.cursor, old.counts, *more))
@@ -107,7 +106,7 @@ def weave(records: Sequence[_Record]) -> _Record:
     columns: list[Any] = []
     for values, own in zip(zip(*records, strict=True), own_of(kind), strict=True):
         if own:
-            woven = _aligned(len(values[0]) * LANES, values[0].dtype)
+            woven = aligned(len(values[0]) * LANES, values[0].dtype)
             woven.reshape(-1, LANES)[:] = np.stack(values, axis=-1)
             columns.append(woven)
         else:
@@ -119,15 +118,15 @@ def room_for(plan: Plan, n: int) -> Samples:
     """Room for n samples of each filter."""
     single = make_samples(blank_events(n, plan.tables.M))
     return single._replace(
-        z=_aligned(len(single.z) * LANES, single.z.dtype), R=_aligned(len(single.R) * LANES, single.R.dtype)
+        z=aligned(len(single.z) * LANES, single.z.dtype), R=aligned(len(single.R) * LANES, single.R.dtype)
     )
 
 
 def rows_for(plan: Plan, n: int) -> Rows:
     """Room for the rows of each filter for n events."""
-    widths, ends = row_widths(plan.kernel, plan.tables.M), blank_rows(plan.kernel, 0, plan.tables.M)
+    widths, ends = row_widths(plan.kernel, plan.tables.M), rows_to_write(plan.kernel, plan.tables, 0)
     return Rows._make(
-        _aligned((n * width + len(end)) * LANES, end.dtype) for width, end in zip(widths, ends, strict=True)
+        aligned((n * width + len(end)) * LANES, end.dtype) for width, end in zip(widths, ends, strict=True)
     )
 
 
@@ -160,13 +159,6 @@ def _put_lane(
 def _lane(rows: Rows, lane: int) -> Rows:
     """The rows of one filter; they share the memory of all."""
     return Rows._make(column.reshape(-1, LANES)[:, lane] for column in rows)
-
-
-def _aligned(size: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Zeros, so placed that no vector lies on two lines of a cache."""
-    raw = np.empty(size + _LINE // dtype.itemsize, dtype)
-    skip = -raw.ctypes.data % _LINE // dtype.itemsize
-    return raw[skip : skip + size]
 
 
 def _alike(plans: Sequence[Plan], events: Sequence[Events], one: int, other: int) -> bool:

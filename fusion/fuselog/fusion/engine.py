@@ -12,7 +12,7 @@ from fuselog.fusion.events import Decision, Events
 from fuselog.fusion.flat import Few, make_samples, make_track
 from fuselog.fusion.kept import check_end, load_history, save_history, take_into
 from fuselog.fusion.kernel.fields import Block
-from fuselog.fusion.kernel.memory import blank_rows, compact_history, empty_history, scratch
+from fuselog.fusion.kernel.memory import compact_history, empty_history, rows_to_write, scratch
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, History, Rows, Samples, Tables
 from fuselog.fusion.newest import begin, begin_again, carry_over, newest_alone, put_states
 from fuselog.fusion.plan import Plan
@@ -91,7 +91,7 @@ class Engine:
             few.put(events)
             self.apply(few.samples, few.rows, slice(0, n))
             return few.track(self.plan, events)
-        rows = blank_rows(self._kernel, n, self.plan.tables.M)
+        rows = rows_to_write(self._kernel, self._tables.record, n)
         self.apply(Block(make_samples(events)), Block(rows), slice(0, n))
         return make_track(self.plan, events, rows)
 

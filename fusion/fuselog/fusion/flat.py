@@ -4,7 +4,7 @@ import numpy as np
 
 from fuselog.fusion.events import Events, blank_events
 from fuselog.fusion.kernel.fields import Block
-from fuselog.fusion.kernel.memory import blank_rows, row_widths
+from fuselog.fusion.kernel.memory import row_widths, rows_to_write
 from fuselog.fusion.kernel.tables import Rows, Samples
 from fuselog.fusion.plan import Plan
 from fuselog.fusion.track import Track
@@ -50,7 +50,7 @@ class Few:
         self.most = most
         self._events = blank_events(most, M)
         self.samples = Block(make_samples(self._events))
-        self.rows = Block(blank_rows(plan.kernel, most, M))
+        self.rows = Block(rows_to_write(plan.kernel, plan.tables, most))
         self._widths = row_widths(plan.kernel, M)
 
     def put(self, events: Events) -> None:

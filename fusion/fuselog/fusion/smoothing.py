@@ -11,7 +11,7 @@ from fuselog.fusion.events import Events, blank_events
 from fuselog.fusion.flat import make_samples, make_track
 from fuselog.fusion.kept import check_end, load_history, save_history, take_into, take_whole
 from fuselog.fusion.kernel.fields import call
-from fuselog.fusion.kernel.memory import blank_rows, empty_history, move_history, scratch
+from fuselog.fusion.kernel.memory import empty_history, move_history, rows_to_write, scratch
 from fuselog.fusion.kernel.tables import NEVER, Care, Gain, History, Rows
 from fuselog.fusion.kernel.trail import Visits, begin_trail
 from fuselog.fusion.newest import begin, carry_over, newest_alone, put_states
@@ -229,7 +229,7 @@ class _Passes:
     def forth(self, events: Events) -> tuple[Rows, Visits]:
         """Append events; the filter's rows, and the entry that each belongs to."""
         n = events.size
-        rows, visits = blank_rows(self._kernel, n, self.plan.tables.M), _visits(n)
+        rows, visits = rows_to_write(self._kernel, self.plan.tables, n), _visits(n)
         samples = make_samples(events)
         call(self._kernel.go_forth, self._tables, self.history, self._work, self._trail, samples, visits, rows)
         return rows, visits
@@ -240,7 +240,7 @@ class _Passes:
 
     def smoothed(self, at: int, last: int) -> Track:
         """Entry ``at`` smoothed by all entries up to ``last``."""
-        history, rows, visits = self.history, blank_rows(self._kernel, 1, self.plan.tables.M), _visits(1)
+        history, rows, visits = self.history, rows_to_write(self._kernel, self.plan.tables, 1), _visits(1)
         visits.entry[0], visits.wanted[0] = at, 1
         self._trail.adjoint[:] = 0.0
         self.back(visits, last=last, first=at, rows=rows)
@@ -255,8 +255,8 @@ class _Passes:
 
     def nothing(self) -> Track:
         """No rows."""
-        M = self.plan.tables.M
-        return make_track(self.plan, blank_events(0, M), blank_rows(self._kernel, 0, M))
+        tables = self.plan.tables
+        return make_track(self.plan, blank_events(0, tables.M), rows_to_write(self._kernel, tables, 0))
 
 
 def _visits(n: int) -> Visits:

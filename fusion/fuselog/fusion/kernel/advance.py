@@ -21,8 +21,8 @@ from fuselog.fusion.kernel.layout import (
     UNDECIDED,
 )
 from fuselog.fusion.kernel.moments import marks_at, moment
-from fuselog.fusion.kernel.rows import row_copy
-from fuselog.fusion.kernel.soundness import wrong
+from fuselog.fusion.kernel.rows import pack_upper, row_copy
+from fuselog.fusion.kernel.soundness import conclude
 from fuselog.fusion.kernel.step import carry
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
 from fuselog.schemas.compiled import inline, kernel
@@ -60,7 +60,7 @@ def look_ahead_at(tables: Tables, history: History, work: Work, k: int) -> int:
     fault = carry(tables, history, work, k, MEASURES)
     if fault != FUSED:
         return fault
-    return wrong(tables, history, work, k)
+    return conclude(tables, history, k)
 
 
 @inline
@@ -222,10 +222,8 @@ def write(tables: Tables, history: History, at: int, decision: int, rows: Rows, 
         known = s[b + KNOWN + i] != 0.0
         if not everywhere(known):
             rows.x[e * N + i] = where(known, rows.x[e * N + i], math.nan)
-    packed = e * PACKED
-    for i in range(N if tables.covariance else 0):
-        row_copy(rows.P, packed, s, b + COVARIANCE + i * LD + i, LD)  # what is too much, the next row covers
-        packed += N - i
+    if tables.covariance:
+        pack_upper(rows.P, e * PACKED, s, b + COVARIANCE, N, LD)
     if at < 0:
         rows.nis[e], rows.dof[e] = math.nan, 0
         for i in range(e * M, (e + 1) * M):

@@ -52,6 +52,7 @@ from fuselog.fusion.kernel.scalars import (
     root_sinc,
     root_versine,
     sin,
+    sin_cos,
     sinc,
     tan,
     wrap,

@@ -10,13 +10,12 @@ subexpressions shared and zeros left out.
 # pyright: reportUnknownLambdaType=false, reportConstantRedefinition=false, reportReturnType=false
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
 
-from fuselog.fusion.kernel.small import SMALL
 from fuselog.fusion.models.model import (
     DT,
     QUATERNION,
@@ -208,7 +207,7 @@ def _texts(model: Model) -> _Texts:
         *(f"    U_{name} = s[b + INPUT + U + {i}]" for i, name in enumerate(model.inputs)),
         *(f"    {_word(f'q_{name}')} = q[{i}]" for i, name in enumerate(model.noise)),
         *(f"    p_{name} = q[{len(model.noise) + i}]" for i, name in enumerate(model.parameters)),
-        *(f"    {name} = {_text(value)}" for name, value in shared),
+        *(f"    {line}" for line in _assign(shared)),
     ]
     return _Texts(
         head,
@@ -228,14 +227,16 @@ def _predict(model: Model, texts: _Texts) -> list[str]:
     off = {(i, j): f"F_{i}_{j}" for i, j in texts.F}
     body = [
         "def predict(s, a, b, dt, q, w):",
-        '    """State row b from row a after dt: x = f(x, u, dt), P = F P F\' + Q. w is scratch of 2 LD LD numbers."""',
+        '    """State row b from row a after dt: x = f(x, u, dt), P = F P F\' + Q. w is scratch of 2 LD LD numbers.',
+        "",
+        "    P is symmetric but for rounding.",
+        '    """',
         *texts.head,
         *(f"    F_{i}_{j} = {value}" for (i, j), value in texts.F.items()),
         *_product("w", "0", "s", "a + COVARIANCE", off, n, upper=False),
         "    transpose(w, LD * LD, w, 0, LD)",
-        *_product("s", "b + COVARIANCE", "w", "LD * LD", off, n, upper=True),
+        *_product("s", "b + COVARIANCE", "w", "LD * LD", off, n, upper=False),
         *_add_noise(texts.Q, n),
-        "    mirror(s, b + COVARIANCE, LD)",
         *_arrive(model, texts),
     ]
     return _used(body)
@@ -276,11 +277,14 @@ def _disturb(texts: _Texts) -> list[str]:
 
 
 def _add_noise(Q: Mapping[tuple[int, int], str], n: int) -> list[str]:
-    """P += Q on and above the diagonal: row by row where a row is one vector, number by number where it is mostly 0."""
-    if n > SMALL:
-        return [f"    s[b + COVARIANCE + {i} * LD + {j}] += {value}" for (i, j), value in Q.items()]
-    rows = {i: ", ".join(Q.get((i, j), "0.0") for j in range(SMALL)) for i in sorted({i for i, _ in Q})}
-    return [f"    row_increase(s, b + COVARIANCE + {i} * LD, ({row}), {SMALL})" for i, row in rows.items()]
+    """P += Q, row by row: number by number they would have to be in memory before a row is read."""
+    width, names = _padded(n), {place: f"Q_{place[0]}_{place[1]}" for place in Q}
+    lines = [f"    {names[place]} = {value}" for place, value in Q.items()]
+    for i in range(n):
+        row = [names.get((min(i, j), max(i, j)), "0.0") for j in range(width)]
+        if {*row} != {"0.0"}:
+            lines.append(f"    row_increase(s, b + COVARIANCE + {i} * LD, ({', '.join(row)}), {width})")
+    return lines
 
 
 def _linearise(texts: _Texts) -> list[str]:
@@ -388,7 +392,7 @@ def _observe(model: Model, measured: Mapping[str, Expr]) -> list[str]:
             *(f"        {_local(f)} = q[{at}]" for f, at in place.items() if str(f) in used),
             *(f"        {s} = par[p + {i}]" for i, s in enumerate(SENSOR) if str(s) in used),
             *(f"        {s} = z[za + {i}]" for i, s in enumerate(SAMPLE) if str(s) in used),
-            *(f"        {name} = {_text(part)}" for name, part in shared),
+            *(f"        {line}" for line in _assign(shared)),
             *(f"        hi[k + {i}] = {index[name]}" for i, name in enumerate(slopes)),
             *(f"        hv[k + {i}] = {_text(slope)}" for i, slope in enumerate(rest)),
             f"        return {_text(value)}, {len(slopes)}",
@@ -422,12 +426,26 @@ def _share(model: Model, entries: list[Expr]) -> tuple[list[tuple[sp.Symbol, Exp
     return shared, [sp.sympify(entry) for entry in rest]
 
 
+def _assign(shared: Sequence[tuple[sp.Symbol, Expr]]) -> Iterator[str]:
+    """Lines that give common subexpressions their names; sine and cosine of the same angle together."""
+    names, given = {value: name for name, value in shared}, set[sp.Symbol]()
+    for name, value in shared:
+        turns = value.func in (sp.sin, sp.cos)
+        sine, cosine = (names.get(function(*value.args)) if turns else None for function in (sp.sin, sp.cos))
+        if sine is None or cosine is None:
+            yield f"{name} = {_text(value)}"
+        elif name not in given:
+            yield f"{sine}, {cosine} = sin_cos({_text(value.args[0])})"
+            given |= {sine, cosine}
+
+
 def _used(lines: Sequence[str]) -> list[str]:
     """The lines without assignments of plain names that no later line reads."""
     kept, read = list[str](), set[str]()
     for line in reversed(lines):
         name, assigns, _ = line.strip().partition(" = ")
-        if not assigns or not name.isidentifier() or name in read:
+        names = name.split(", ")
+        if not assigns or not all(map(str.isidentifier, names)) or read & {*names}:
             kept.append(line)
             read |= _words(line)
     return kept[::-1]

@@ -1,35 +1,63 @@
 """What a gain makes of a state and its covariance; compiled with ``step``."""
 
 from fuselog.fusion.kernel.blank import LD, WIDTH, N, inject
-from fuselog.fusion.kernel.gains import policy
+from fuselog.fusion.kernel.gains import policy, scale_apart
 from fuselog.fusion.kernel.innovation import project
-from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, HP, JOSEPH, OPTIMAL, ROW, WHITE, G
-from fuselog.fusion.kernel.rows import mirror, row_add, row_scale, take_outer
-from fuselog.fusion.kernel.tables import History, Tables, Work
+from fuselog.fusion.kernel.layout import APART, COVARIANCE, DELTA, HP, JOSEPH, OPTIMAL, ROW, G
+from fuselog.fusion.kernel.rows import row_add, row_gather, row_scale, take_outer
+from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
 
 
 @inline
 def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
     """x = x (+) G nu, and the covariance that belongs to this gain."""
-    s, w, b = history.state, work.rows, k * ROW
-    row_scale(w, DELTA, w, G, work.nu[0], LD)
-    for a in range(1, m):
-        row_add(w, DELTA, w, G + a * LD, work.nu[a], LD)
-    inject(s, b, w, DELTA)
+    add_up(tables, history, work, k, sensor, m)
+    inject(history.state, k * ROW, work.rows, DELTA)
     if tables.covariance:
         shrink(tables, history, work, k, sensor, m)
 
 
 @inline
+def is_short(tables: Tables, history: History, work: Work, k: int, sensor: int) -> bool:
+    """Whether the gain is the optimal one, and its short form will do: that needs no G."""
+    return tables.covariance and policy(tables, history, k, sensor) == OPTIMAL and bool(work.modest[0])
+
+
+@inline
+def add_up(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
+    """The correction d = G nu."""
+    w = work.rows
+    if is_short(tables, history, work, k, sensor):
+        scale_apart(work, m)
+        row_gather(w, DELTA, w, G, work.y, 0, m, LD)
+    else:
+        row_gather(w, DELTA, w, G, work.nu, 0, m, LD)
+
+
+@inline
 def shrink(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
-    """The covariance that belongs to the gain."""
+    """The covariance that belongs to the gain, on and above the diagonal."""
     s, w, P = history.state, work.rows, k * ROW + COVARIANCE
-    if policy(tables, history, k, sensor) == OPTIMAL and work.modest[0]:
-        take_outer(s, P, w, WHITE, w, WHITE, m, N, LD, True)
+    if is_short(tables, history, work, k, sensor):
+        take_outer(s, P, w, G, w, APART, m, N, LD, True)
+        for a in range(m):  # G = P H' R^-1 of the new P
+            own = history.R[k * tables.M * tables.M + work.active[a] * (tables.rows[sensor] + 1)]
+            variance = variance_of(work, s, P, a)
+            history.absorbed[k * tables.M + work.active[a]] = variance / (work.factor[0] * own)
     else:
         joseph(tables, history, work, k, sensor, m)
-    mirror(s, P, LD)
+
+
+@inline
+def variance_of(work: Work, P_of: Floats, P: int, a: int) -> float:
+    """h P h' of number a, by what lies on and above the diagonal."""
+    total = 0.0
+    for j in range(a * WIDTH, a * WIDTH + work.hn[a]):
+        for i in range(a * WIDTH, a * WIDTH + work.hn[a]):
+            row, column = min(work.hi[i], work.hi[j]), max(work.hi[i], work.hi[j])
+            total += work.hv[i] * work.hv[j] * P_of[P + row * LD + column]
+    return total
 
 
 @inline

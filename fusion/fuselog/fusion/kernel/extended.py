@@ -2,7 +2,7 @@
 
 from fuselog.fusion.kernel.blank import predict
 from fuselog.fusion.kernel.correction import update
-from fuselog.fusion.kernel.innovation import innovate, weigh
+from fuselog.fusion.kernel.innovation import innovate, note_variances, weigh
 from fuselog.fusion.kernel.layout import ROW, SCRATCH
 from fuselog.fusion.kernel.robust import learned_noise, stated_noise
 from fuselog.fusion.kernel.tables import History, Tables, Work
@@ -21,11 +21,12 @@ def forecast(tables: Tables, history: History, work: Work, k: int, dt: float) ->
 
 
 @inline
-def compare(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
-    """nu, S and the rows of H P; whether P is a covariance."""
+def compare(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> float:
+    """nu and S, taken apart; the NIS, or -1 where S is not positive definite."""
     innovate(tables, history, work, k, sensor, m)
-    weigh(tables, history, work, k, sensor, m)
-    return True
+    nis = weigh(tables, history, work, k, sensor, m)
+    note_variances(tables, history, work, k, sensor, m)
+    return nis
 
 
 @inline

@@ -1,10 +1,11 @@
 """The gain of a sample, by its sensor's policy (Bezmen 2019, eq. 27 and 29); compiled with ``step``."""
 
 from fuselog.fusion.kernel.blank import LD, WIDTH, N
-from fuselog.fusion.kernel.innovation import cholesky, spread
+from fuselog.fusion.kernel.innovation import decorrelate, spread
 from fuselog.fusion.kernel.layout import (
     ABSORB,
     ACQUIRING,
+    APART,
     HP,
     MATRIX,
     MEASURES,
@@ -14,7 +15,6 @@ from fuselog.fusion.kernel.layout import (
     SKIP,
     STATE,
     VARIANT,
-    WHITE,
     G,
 )
 from fuselog.fusion.kernel.moments import gather, marks_at, missing
@@ -53,15 +53,20 @@ def has_vote(tables: Tables, history: History, work: Work, k: int, sensor: int) 
 
 @inline
 def gain(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
-    """The rows of G', by the sensor's policy; false where a fixed share cannot be formed."""
+    """The rows of G', by the sensor's policy; false where a fixed share cannot be formed.
+
+    In the short form they are not needed.
+    """
     how, M = policy(tables, history, k, sensor), tables.M
+    if how == OPTIMAL and work.modest[0]:
+        return True
     if how == MATRIX:
         take_matrix(tables, work, m, variant(tables, history, k, sensor))
     elif how == STATE:
         for a in range(m):
             weigh_states(tables, history, work, k, sensor, a)
     else:
-        if how == ABSORB and not share(tables, work, m):
+        if how == ABSORB and not share(tables, history, work, k, sensor, m):
             return False
         solve(work, m)
         for a in range(m if how == ABSORB else 0):
@@ -83,7 +88,7 @@ def take_matrix(tables: Tables, work: Work, m: int, at: int) -> None:
 
 
 @inline
-def share(tables: Tables, work: Work, m: int) -> bool:
+def share(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
     """Take R out of S: with weight 1 the update then absorbs the innovation whole, G = P H' (H P H')^-1 W.
 
     With fixed scales in place of P the gain does not follow the covariance, only the geometry.
@@ -95,10 +100,8 @@ def share(tables: Tables, work: Work, m: int) -> bool:
             for j in range(work.hn[a]):
                 state = work.hi[a * WIDTH + j]
                 work.rows[HP + a * LD + state] = work.hv[a * WIDTH + j] * tables.scales[state] ** 2
-    for a in range(m):
-        for c in range(a + 1):
-            work.S[a * m + c] = spread(work, HP, a, c)
-    return cholesky(work.S, work.L, m)
+            work.S[a] = spread(work, HP, a, a)
+    return decorrelate(tables, history, work, k, sensor, m, 0.0) >= 0.0
 
 
 @inline
@@ -154,10 +157,15 @@ def toward(tables: Tables, at: int, sensor: int, how: int, target: int) -> float
 
 @inline
 def solve(work: Work, m: int) -> None:
-    """G' = S^-1 H P by the factor L of S (Bezmen 2019, eq. 27), over L^-1 H P."""
+    """G' = S^-1 H P = L'^-1 D^-1 L^-1 H P (Bezmen 2019, eq. 27)."""
     w, L, last = work.rows, work.L, m - 1
-    for a in range(m):
-        row_take(w, WHITE + a * LD, w, HP + a * LD, w, WHITE, LD, L, a * m, 1, a, L[a * m + a], LD)
+    scale_apart(work, m)
     for a in range(last, -1, -1):
-        scale = L[a * m + a]
-        row_take(w, G + a * LD, w, WHITE + a * LD, w, G + last * LD, -LD, L, last * m + a, -m, last - a, scale, LD)
+        row_take(w, G + a * LD, w, G + a * LD, w, G + last * LD, -LD, L, last * m + a, -m, last - a, 1.0, LD)
+
+
+@inline
+def scale_apart(work: Work, m: int) -> None:
+    """D^-1 L^-1 H P, in the place of G'."""
+    for a in range(m):
+        row_scale(work.rows, G + a * LD, work.rows, APART + a * LD, work.D[a], LD)

@@ -3,9 +3,9 @@
 import math
 
 from fuselog.fusion.kernel.blank import LD, ROTATION, WIDTH, N, observe
-from fuselog.fusion.kernel.layout import COVARIANCE, HP, ROW
+from fuselog.fusion.kernel.layout import APART, COVARIANCE, HP, ROW
 from fuselog.fusion.kernel.rotations import quaternion_from_rpy, quaternion_product, rotation_vector
-from fuselog.fusion.kernel.rows import row_add, row_scale
+from fuselog.fusion.kernel.rows import row_add, row_scale, row_take
 from fuselog.fusion.kernel.scalars import wrap
 from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
@@ -56,35 +56,79 @@ def innovate(tables: Tables, history: History, work: Work, k: int, sensor: int, 
 
 
 @inline
-def weigh(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
-    """S = H P H' + R (its lower triangle), R times its factor, and the rows of H P (Bezmen 2019, eq. 28).
+def weigh(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> float:
+    """What the active numbers know of each other taken out: L D L' = S = H P H' + R (Bezmen 2019, eq. 28); the NIS.
 
-    Also says in ``work.modest`` whether P - (L^-1 H P)' (L^-1 H P), which Joseph's form is for the optimal gain, is as
-    exact as the long: it shrinks P in no direction by more than the sum of S/R where R is diagonal, and loses no more.
+    Leaves L^-1 H P, L^-1 nu and L, and NIS -1 where S is not positive definite. Also says in ``work.modest`` whether
+    P - (L^-1 H P)' D^-1 (L^-1 H P), which Joseph's form is for the optimal gain, is as exact as the long: it shrinks P
+    in no direction by more than the sum of S/R where R is diagonal, and loses no more.
     """
     M, rows, modest = tables.M, tables.rows[sensor], True
     project(work, history.state, k * ROW + COVARIANCE, m)
+    work.diagonal[0] = is_diagonal(tables, history, work, k, sensor, m)
     for a in range(m):
-        line = k * M * M + work.active[a] * rows
-        for c in range(a):
-            R = work.factor[0] * history.R[line + work.active[c]]
-            work.S[a * m + c] = spread(work, HP, a, c) + R
-            modest &= R == 0.0
-        own = work.factor[0] * history.R[line + work.active[a]]
-        S = spread(work, HP, a, a) + own
-        work.S[a * m + a] = S
-        modest &= MODEST * own >= S
-        history.S[k * M + work.active[a]] = S
-    work.modest[0] = bool(modest)
+        own = work.factor[0] * history.R[k * M * M + work.active[a] * (rows + 1)]
+        work.S[a] = spread(work, HP, a, a)
+        modest &= MODEST * own >= work.S[a] + own
+    work.modest[0] = bool(modest) & (work.diagonal[0] != 0)
+    return decorrelate(tables, history, work, k, sensor, m, work.factor[0])
 
 
 @inline
-def take_noise(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
-    """R of the active numbers in the place of S."""
-    M, rows = tables.M, tables.rows[sensor]
+def note_variances(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
+    """Write down the diagonal of S."""
     for a in range(m):
-        for c in range(a + 1):
-            work.S[a * m + c] = history.R[k * M * M + work.active[a] * rows + work.active[c]]
+        i = work.active[a]
+        R = history.R[k * tables.M * tables.M + i * (tables.rows[sensor] + 1)]
+        history.S[k * tables.M + i] = work.S[a] + work.factor[0] * R
+
+
+@inline
+def is_diagonal(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
+    """Whether the noises of the active numbers have nothing to do with each other."""
+    rows, alone = tables.rows[sensor], True
+    for a in range(1, m):
+        line = k * tables.M * tables.M + work.active[a] * rows
+        for c in range(a):
+            alone &= history.R[line + work.active[c]] == 0.0
+    return bool(alone)
+
+
+@inline
+def decorrelate(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int, factor: float) -> float:
+    """L and D with L D L' = H P H' + ``factor`` R; L^-1 H P, L^-1 nu and the NIS, or -1.
+
+    An entry of L is that of H P H', which is h of a number times a row of L^-1 H P, and of L^-1 R where R is full.
+    """
+    L, M, rows, full, nis = work.L, tables.M, tables.rows[sensor], work.diagonal[0] == 0, 0.0
+    for a in range(m):
+        line = k * M * M + work.active[a] * rows
+        pivot, rest = work.S[a] + factor * history.R[line + work.active[a]], work.nu[a]
+        for c in range(a):
+            shared = spread(work, APART, c, a)
+            if full:
+                noise = factor * history.R[line + work.active[c]]
+                for j in range(c):
+                    noise -= L[c * m + j] * work.B[j * m + a]
+                work.B[c * m + a] = noise
+                shared += noise
+            share = shared * work.D[c]
+            L[a * m + c] = share
+            pivot -= share * shared
+            rest -= share * work.y[c]
+        if not 0.0 < pivot < math.inf:
+            return -1.0
+        nis += set_apart(work, m, a, pivot, rest)
+    return nis
+
+
+@inline
+def set_apart(work: Work, m: int, a: int, pivot: float, rest: float) -> float:
+    """Row a of L^-1 H P by row a of L, and what number a has of its own: its pivot D, L^-1 nu and part of the NIS."""
+    w, L = work.rows, work.L
+    row_take(w, APART + a * LD, w, HP + a * LD, w, APART, LD, L, a * m, 1, a, 1.0, LD)
+    work.D[a], work.y[a] = 1.0 / pivot, rest
+    return rest * rest * work.D[a]
 
 
 @inline
@@ -93,48 +137,29 @@ def project(work: Work, P_of: Floats, P: int, m: int) -> None:
     for a in range(m):
         to = HP + a * LD
         row_scale(work.rows, to, P_of, P + work.hi[a * WIDTH] * LD, work.hv[a * WIDTH], LD)
-        for j in range(1, work.hn[a]):
+        for j in range(1, work.hn[a] if WIDTH > 1 else 1):
             row_add(work.rows, to, P_of, P + work.hi[a * WIDTH + j] * LD, work.hv[a * WIDTH + j], LD)
 
 
 @inline
 def spread(work: Work, rows: int, a: int, c: int) -> float:
     """Row a of ``rows`` times h of number c: an entry of H P H'."""
-    total = 0.0
-    for j in range(work.hn[c]):
-        total += work.hv[c * WIDTH + j] * work.rows[rows + a * LD + work.hi[c * WIDTH + j]]
+    at, row = c * WIDTH, rows + a * LD
+    total = work.hv[at] * work.rows[row + work.hi[at]]
+    for j in range(1, work.hn[c] if WIDTH > 1 else 1):
+        total += work.hv[at + j] * work.rows[row + work.hi[at + j]]
     return total
 
 
 @inline
-def cholesky(S: Floats, L: Floats, m: int) -> bool:
-    """L L' = S, the diagonal of L inverted; false where S is not positive definite, or not finite."""
+def positive(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
+    """Whether R of the active numbers is positive definite; H P is used up."""
+    for i in range(m * LD):
+        work.rows[HP + i] = 0.0
     for a in range(m):
-        for c in range(a):
-            total = S[a * m + c]
-            for j in range(c):
-                total -= L[a * m + j] * L[c * m + j]
-            L[a * m + c] = total * L[c * m + c]
-        total = S[a * m + a]
-        for j in range(a):
-            total -= L[a * m + j] * L[a * m + j]
-        if not 0.0 < total < math.inf:
-            return False
-        L[a * m + a] = 1.0 / math.sqrt(total)
-    return True
-
-
-@inline
-def mahalanobis(work: Work, m: int) -> float:
-    """NIS = nu' S^-1 nu, by y = L^-1 nu."""
-    total = 0.0
-    for a in range(m):
-        y = work.nu[a]
-        for c in range(a):
-            y -= work.L[a * m + c] * work.y[c]
-        work.y[a] = y * work.L[a * m + a]
-        total += work.y[a] * work.y[a]
-    return total
+        work.S[a] = 0.0
+    work.diagonal[0] = 0
+    return decorrelate(tables, history, work, k, sensor, m, 1.0) >= 0.0
 
 
 @inline

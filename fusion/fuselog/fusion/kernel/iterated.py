@@ -11,12 +11,12 @@ until d no longer changes. P is Joseph's of the last H and G. Gate and NIS are t
 import math
 
 from fuselog.fusion.kernel.blank import LD, ROTATION, WIDTH, N, X, inject, predict
-from fuselog.fusion.kernel.correction import shrink
+from fuselog.fusion.kernel.correction import add_up, is_short, shrink
 from fuselog.fusion.kernel.gains import solve
-from fuselog.fusion.kernel.innovation import MODEST, cholesky, innovate, measure, project, spread, weigh
-from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, HP, ROW, SCRATCH, G
+from fuselog.fusion.kernel.innovation import innovate, measure, note_variances, weigh
+from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, ROW, SCRATCH
 from fuselog.fusion.kernel.rotations import right_jacobian
-from fuselog.fusion.kernel.rows import row_add, row_copy, row_scale
+from fuselog.fusion.kernel.rows import row_copy
 from fuselog.fusion.kernel.scalars import wrap
 from fuselog.fusion.kernel.tables import History, Tables, Work
 from fuselog.schemas.compiled import inline
@@ -34,11 +34,12 @@ def forecast(tables: Tables, history: History, work: Work, k: int, dt: float) ->
 
 
 @inline
-def compare(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
-    """nu, S and the rows of H P at the predicted state; whether P is a covariance."""
+def compare(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> float:
+    """nu and S at the predicted state, taken apart; the NIS, or -1 where S is not positive definite."""
     innovate(tables, history, work, k, sensor, m)
-    weigh(tables, history, work, k, sensor, m)
-    return True
+    nis = weigh(tables, history, work, k, sensor, m)
+    note_variances(tables, history, work, k, sensor, m)
+    return nis
 
 
 @inline
@@ -46,27 +47,21 @@ def amend(tables: Tables, history: History, work: Work, k: int, sensor: int, m: 
     """x and P after as many turns as it takes; the first has been prepared."""
     s, w, b = history.state, work.rows, k * ROW
     row_copy(w, PRIOR, s, b, X)
-    gather_correction(work, m)
+    add_up(tables, history, work, k, sensor, m)
     inject(s, b, w, DELTA)
     for _ in range(1, tables.iterations):
         row_copy(w, BEFORE, w, DELTA, LD)
-        if not linearise_again(tables, history, work, k, sensor, m):
-            break
-        gather_correction(work, m)
+        found = linearise_again(tables, history, work, k, sensor, m)
         row_copy(s, b, w, PRIOR, X)
+        if not found:  # then the first turn was the last
+            compare(tables, history, work, k, sensor, m)
+        if not is_short(tables, history, work, k, sensor):
+            solve(work, m)
+        add_up(tables, history, work, k, sensor, m)
         inject(s, b, w, DELTA)
-        if settled(tables, history, work, k):
+        if not found or settled(tables, history, work, k):
             break
     shrink(tables, history, work, k, sensor, m)
-
-
-@inline
-def gather_correction(work: Work, m: int) -> None:
-    """d = G nu."""
-    w = work.rows
-    row_scale(w, DELTA, w, G, work.nu[0], LD)
-    for a in range(1, m):
-        row_add(w, DELTA, w, G + a * LD, work.nu[a], LD)
 
 
 @inline
@@ -81,8 +76,8 @@ def settled(tables: Tables, history: History, work: Work, k: int) -> bool:
 
 @inline
 def linearise_again(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
-    """G and the innovation that belongs to d, about the corrected x in entry k; whether S is positive."""
-    M, rows, modest = tables.M, tables.rows[sensor], True
+    """S taken apart, and the innovation that belongs to d, about the corrected x in entry k; whether S is positive."""
+    M = tables.M
     for a in range(m):
         i = work.active[a]
         nu = history.z[k * (M + 3) + i] - measure(tables, history, work, k, sensor, i, a)
@@ -92,17 +87,7 @@ def linearise_again(tables: Tables, history: History, work: Work, k: int, sensor
         for j in range(work.hn[a]):
             nu += work.hv[a * WIDTH + j] * work.rows[BEFORE + work.hi[a * WIDTH + j]]
         work.nu[a] = nu
-    project(work, history.state, k * ROW + COVARIANCE, m)
-    for a in range(m):
-        for c in range(a + 1):
-            R = history.R[k * M * M + work.active[a] * rows + work.active[c]]
-            work.S[a * m + c] = spread(work, HP, a, c) + R
-            modest &= work.S[a * m + a] <= MODEST * R if a == c else R == 0.0
-    if not cholesky(work.S, work.L, m):
-        return False
-    work.modest[0] = bool(modest)
-    solve(work, m)
-    return True
+    return weigh(tables, history, work, k, sensor, m) >= 0.0
 
 
 @inline

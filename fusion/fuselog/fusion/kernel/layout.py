@@ -5,14 +5,15 @@ from fuselog.fusion.kernel.blank import LD, N, U, X
 COVARIANCE = X  # a row of state: x, P with rows padded to LD, input and its noise, which states are known
 INPUT = COVARIANCE + LD * LD
 KNOWN = INPUT + 2 * U
-ROW = KNOWN + N
+LINE = 8  # numbers of a line of the cache
+ROW = -(-(KNOWN + N) // LINE) * LINE
 PACKED = N * (N + 1) // 2
 
 MOST = 9  # numbers that one sample measures at most
 HP = 2 * LD * LD  # places in Work.rows, after the two products of ``predict``
 G = HP + MOST * LD
-WHITE = G + MOST * LD
-JOSEPH = WHITE + MOST * LD
+APART = G + MOST * LD
+JOSEPH = APART + MOST * LD
 DELTA = JOSEPH + MOST * LD
 SCRATCH = DELTA + LD
 

@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from types import ModuleType
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from fuselog.fusion.kernel.rotations import quaternions_from_rpy
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Linear, Rows, Tables, Work
@@ -57,7 +58,7 @@ def empty_history(kernel: ModuleType, tables: Tables, capacity: int) -> History:
         R=np.zeros(C * M * M),
         marks=np.zeros(C * (kernel.MARKS + sensors * kernel.SENSOR_MARKS), np.int64),
         learned=np.zeros(C * tables.learned),
-        state=np.zeros(C * kernel.ROW),
+        state=aligned(C * kernel.ROW),
         nis=np.zeros(C),
         dof=np.zeros(C, np.int64),
         nu=np.zeros(C * M),
@@ -66,11 +67,19 @@ def empty_history(kernel: ModuleType, tables: Tables, capacity: int) -> History:
     )
 
 
+def aligned(count: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Zeros that begin with a line of the cache, so that a row of P is in one or two of them."""
+    line, size = 64, np.dtype(dtype).itemsize
+    room = np.zeros(count + line // size, dtype)
+    first = -room.ctypes.data % line // size
+    return room[first : first + count]
+
+
 def compact_history(history: History) -> History:
     """The entries that are there, as copies, with room for one more: none at all could not be told from all free."""
     head, tail = int(history.cursor[0]), int(history.cursor[1])
     capacity = tail + 2 - head
-    columns = [np.zeros(len(column) // history.capacity * capacity, column.dtype) for column in history[3:]]
+    columns = [aligned(len(column) // history.capacity * capacity, column.dtype) for column in history[3:]]
     compact = History(capacity, history.cursor.copy(), history.counts.copy(), *columns)
     move_history(history, head, compact)
     return compact
@@ -90,9 +99,11 @@ def scratch(kernel: ModuleType, tables: Tables) -> Work:
     """What one step works with."""
     M = tables.M
     return Work(
-        rows=np.zeros(kernel.ROOM),
-        S=np.zeros(M * M),
+        rows=aligned(kernel.ROOM),
+        S=np.zeros(M),
         L=np.zeros(M * M),
+        D=np.zeros(M),
+        B=np.zeros(M * M),
         y=np.zeros(M),
         nu=np.zeros(M),
         hv=np.zeros((M + 1) * kernel.WIDTH),
@@ -100,6 +111,7 @@ def scratch(kernel: ModuleType, tables: Tables) -> Work:
         hn=np.zeros(M + 1, np.int64),
         active=np.zeros(M, np.int64),
         factor=np.ones(1),
+        diagonal=np.zeros(1, np.int64),
         modest=np.zeros(1, np.int64),
         q=tables.q.copy(),
         here=np.zeros(tables.S, np.int64),
@@ -107,19 +119,20 @@ def scratch(kernel: ModuleType, tables: Tables) -> Work:
     )
 
 
-def blank_rows(kernel: ModuleType, n: int, M: int) -> Rows:
-    """Rows for n events."""
-    N, spare = kernel.N, kernel.LD
+def rows_to_write(kernel: ModuleType, tables: Tables, n: int) -> Rows:
+    """Rows for n events, which a kernel will write; P, which not every filter has, is 0 until then."""
+    N, M, spare = kernel.N, tables.M, kernel.LD
+    numbers = n * N * (N + 1) // 2 + spare
     return Rows(
         t_ns=np.empty(n, np.int64),
         decision=np.empty(n, np.uint8),
-        nis=np.full(n, np.nan),
-        dof=np.zeros(n, np.int64),
+        nis=np.empty(n),
+        dof=np.empty(n, np.int64),
         x=np.empty(n * N + spare),
-        P=np.zeros(n * N * (N + 1) // 2 + spare),
-        nu=np.full(n * M, np.nan),
-        S=np.full(n * M, np.nan),
-        absorbed=np.full(n * M, np.nan),
+        P=np.empty(numbers) if tables.covariance else np.zeros(numbers),
+        nu=np.empty(n * M),
+        S=np.empty(n * M),
+        absorbed=np.empty(n * M),
     )
 
 

@@ -10,7 +10,7 @@ R is learned before its sample is fused, and quicker at first, when a sample tha
 import math
 
 from fuselog.fusion.kernel.blank import DENSITIES, LD, WIDTH, N, U
-from fuselog.fusion.kernel.innovation import cholesky, mahalanobis, weigh
+from fuselog.fusion.kernel.innovation import decorrelate, note_variances, weigh
 from fuselog.fusion.kernel.layout import (
     AGE,
     COVARIANCE,
@@ -135,17 +135,16 @@ def widen(tables: Tables, history: History, work: Work, k: int, sensor: int, m: 
         doubled += 1
         for i in range(N):
             s[P + i * width] *= 1.0 + work.rows[DELTA + i]
-        weigh(tables, history, work, k, sensor, m)
-        possible = cholesky(work.S, work.L, m)
-        history.nis[k] = mahalanobis(work, m)
+        history.nis[k] = weigh(tables, history, work, k, sensor, m)
+        possible = history.nis[k] >= 0.0
+    note_variances(tables, history, work, k, sensor, m)
     if possible and history.nis[k] <= m:
         history.learned[k * tables.learned + tables.memory[sensor] + RECOVERED] += 1.0
         return True
     for i in range(N):  # powers of two leave no trace
         s[P + i * width] /= (1.0 + work.rows[DELTA + i]) ** doubled
-    weigh(tables, history, work, k, sensor, m)
-    cholesky(work.S, work.L, m)
-    history.nis[k] = mahalanobis(work, m)
+    history.nis[k] = weigh(tables, history, work, k, sensor, m)
+    note_variances(tables, history, work, k, sensor, m)
     return False
 
 
@@ -171,7 +170,7 @@ def involve(tables: Tables, history: History, work: Work, k: int, sensor: int, m
 
 @inline
 def soften(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
-    """R over the weight that a sample of this NIS has; L anew.
+    """R over the weight that a sample of this NIS has.
 
     Huber: min(1, c / sqrt(NIS)). Student's t of n degrees of freedom: (n + m) / (n + NIS), and no more than 1.
     """
@@ -185,22 +184,17 @@ def soften(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
 
 @inline
 def inflate(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int, by: float) -> bool:
-    """Multiply R by a factor in S, and in all that follows; L anew."""
-    M, rows, before = tables.M, tables.rows[sensor], work.factor[0]
+    """Multiply R by a factor in S, and in all that follows."""
     work.factor[0] *= by
-    for a in range(m):
-        for c in range(a + 1):
-            R = history.R[k * M * M + work.active[a] * rows + work.active[c]]
-            work.S[a * m + c] += (work.factor[0] - before) * R
-    return cholesky(work.S, work.L, m)
+    return decorrelate(tables, history, work, k, sensor, m, work.factor[0]) >= 0.0
 
 
 @inline
 def learn(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int, trust: float) -> float:
     """Move the factors on R and Q by this innovation, of whose NIS only the share ``trust`` counts; what R grew by."""
     learned = history.learned
-    nis, own, to = mahalanobis(work, m) * trust, tuning_of(tables, sensor), k * tables.learned
-    part, expected = noise_part(tables, history, work, k, sensor, m)
+    own, to = tuning_of(tables, sensor), k * tables.learned
+    nis, part, expected = noise_part(tables, history, work, k, sensor, m)
     excess, grown = part * trust - expected, 1.0
     if tables.care[sensor] & LEARNS:
         at = to + tables.memory[sensor]
@@ -212,34 +206,36 @@ def learn(tables: Tables, history: History, work: Work, k: int, sensor: int, m: 
         learned[at + FACTOR], grown = factor, factor / before
         learned[at + SEEN] += 1.0
     if tables.care[sensor] & TEACHES:
-        factor = learned[to + PROCESS] * (1.0 + tables.process[0] * (nis - m - excess) / m)
+        factor = learned[to + PROCESS] * (1.0 + tables.process[0] * (nis * trust - m - excess) / m)
         learned[to + PROCESS] = min(max(factor, tables.process[1]), tables.process[2])
     return grown
 
 
 @inline
-def noise_part(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> tuple[float, float]:
-    """nu' S^-1 R S^-1 nu, given L^-1 nu in y, and tr(S^-1 R); y is used up."""
-    part, expected, M, rows, y = 0.0, 0.0, tables.M, tables.rows[sensor], work.y
-    back(work, m)
+def noise_part(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> tuple[float, float, float]:
+    """nu' S^-1 nu, of that nu' S^-1 R S^-1 nu, and tr(S^-1 R)."""
+    nis, part, expected, M, rows, v = 0.0, 0.0, 0.0, tables.M, tables.rows[sensor], work.B
+    for a in range(m):
+        v[a] = work.y[a]
+        nis += v[a] * v[a] * work.D[a]
+    back(work, v, m)
     for a in range(m):
         for c in range(m):
-            part += y[a] * y[c] * history.R[k * M * M + work.active[a] * rows + work.active[c]]
+            part += v[a] * v[c] * history.R[k * M * M + work.active[a] * rows + work.active[c]]
     for c in range(m):
         for a in range(m):
-            y[a] = history.R[k * M * M + work.active[a] * rows + work.active[c]]
+            v[a] = history.R[k * M * M + work.active[a] * rows + work.active[c]]
             for j in range(a):
-                y[a] -= work.L[a * m + j] * y[j]
-            y[a] *= work.L[a * m + a]
-        back(work, m)
-        expected += y[c]
-    return part * work.factor[0], expected * work.factor[0]
+                v[a] -= work.L[a * m + j] * v[j]
+        back(work, v, m)
+        expected += v[c]
+    return nis, part * work.factor[0], expected * work.factor[0]
 
 
 @inline
-def back(work: Work, m: int) -> None:
-    """y = L'^-1 y, the diagonal of L inverted."""
+def back(work: Work, v: Floats, m: int) -> None:
+    """v = L'^-1 D^-1 v."""
     for a in range(m - 1, -1, -1):
+        v[a] *= work.D[a]
         for j in range(a + 1, m):
-            work.y[a] -= work.L[j * m + a] * work.y[j]
-        work.y[a] *= work.L[a * m + a]
+            v[a] -= work.L[j * m + a] * v[j]

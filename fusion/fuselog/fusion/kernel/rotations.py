@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuselog.fusion.kernel.scalars import atan2, cos, root_cos, root_gap, root_sinc, root_versine, sin, wrap
+from fuselog.fusion.kernel.scalars import atan2, root_cos, root_gap, root_sinc, root_versine, sin_cos, wrap
 from fuselog.schemas.compiled import inline, kernel
 
 Floats = NDArray[np.float64]
@@ -43,9 +43,9 @@ def rpy_from_quaternion(x: float, y: float, z: float, w: float) -> tuple[float, 
 @inline
 def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
     """The quaternion of Rz(yaw) Ry(pitch) Rx(roll)."""
-    cr, sr = cos(roll / 2), sin(roll / 2)
-    cp, sp = cos(pitch / 2), sin(pitch / 2)
-    cy, sy = cos(yaw / 2), sin(yaw / 2)
+    sr, cr = sin_cos(roll / 2)
+    sp, cp = sin_cos(pitch / 2)
+    sy, cy = sin_cos(yaw / 2)
     return (
         sr * cp * cy - cr * sp * sy,
         cr * sp * cy + sr * cp * sy,

@@ -9,6 +9,7 @@ one of each filter, and so is a factor.
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportUnknownVariableType=false
 # pyright: reportUnknownParameterType=false, reportMissingParameterType=false, reportUnknownLambdaType=false
 
+import math
 from collections.abc import Iterator
 from typing import Any, Protocol, cast
 
@@ -17,12 +18,12 @@ from numba import types  # pyright: ignore[reportMissingTypeStubs]  numba ships 
 from numba.core import cgutils  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
 from numba.extending import intrinsic  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
 
-from fuselog.fusion.kernel.lanes import LANES, LanesAt, lanes
+from fuselog.fusion.kernel.lanes import LANES, LanesAt, lanes, mask
 
 Floats = Any  # a pointer to float64
 
 _BYTES = 8  # of a float64
-_BLOCK = 4  # rows and columns that are transposed at a time
+_TILE = 4  # numbers of the smallest vector that all processors have, or put together
 _NARROW = 8  # lanes up to which four rows fit the registers of every processor
 _LEAST = 2.0**-400  # what a subtraction leaves below it is 0: denormal numbers take long, products of larger are none
 
@@ -193,6 +194,30 @@ def _row_take(typing, to, at, base, place, source, start, step, factors, first, 
     return (signature, emit) if _fixed(width) else None
 
 
+def _row_gather(typing, to, at, source, start, factors, first, count, width):  # noqa: ARG001  numba reads this signature
+    """to[at:] = the sum over c < count of factors[first + c] * source[start + c width :]."""
+    place = _Place(to)
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        to, at, source, start, factors, first, count, _ = arguments
+        long = width.literal_value
+        row = ir.VectorType(ir.DoubleType(), long * place.each)
+        total = cgutils.alloca_once_value(builder, ir.Constant(row, [0.0] * row.count))
+        with cgutils.for_range(builder, count) as loop:
+            line = builder.mul(loop.index, at.type(long))
+            factor = place.load_number(builder, factors, builder.add(first, loop.index))
+            term = builder.fmul(
+                _spread(builder, factor, long), place.load(builder, source, builder.add(start, line), long)
+            )
+            builder.store(builder.fadd(builder.load(total), term), total)
+        place.store(builder, builder.load(total), to, at)
+        return context.get_dummy_value()
+
+    one, two = ([types.intp] * count for count in (1, 2))
+    signature = types.void(to, *one, source, *one, factors, *two, width)
+    return (signature, emit) if _fixed(width) else None
+
+
 def _take_outer(typing, to, at, left, a, right, b, count, height, width, upper):  # noqa: ARG001  numba reads this signature
     """Row i < height of the matrix ``to`` -= sum over c < count of left[a + c width + i] * row c from ``b`` of right.
 
@@ -224,34 +249,34 @@ def _take_outer(typing, to, at, left, a, right, b, count, height, width, upper):
 
 def _bands(height: int, stride: int, upper: bool) -> Iterator[tuple[int, int, int, int]]:
     """Rows to work on together: first row, how many, first column, to the end. As many as registers hold."""
-    first = 0
-    while first < height:
-        column = first // _BLOCK * _BLOCK if upper else 0
-        rows = min(_BLOCK if stride - column <= _NARROW else 2, height - first)
-        yield first, rows, column, stride - column
-        first += rows
+    for block, many in _blocks(stride):
+        column = block if upper else 0
+        together = _TILE if stride - column <= _NARROW else 2
+        last = min(block + many, height)
+        for first in range(block, last, together):
+            yield first, min(together, last - first), column, stride - column
 
 
 def _tiles(height: int, stride: int, upper: bool) -> Iterator[tuple[int, int, int, int]]:
     """The same of lanes, in pieces of rows, as each number is a vector."""
     for first in range(0, height, 2):
-        for column in range(first // _BLOCK * _BLOCK if upper else 0, stride, _BLOCK):
-            yield first, min(2, height - first), column, _BLOCK
+        for column in range(first // _TILE * _TILE if upper else 0, stride, _TILE):
+            yield first, min(2, height - first), column, _TILE
 
 
 def _transpose(typing, to, at, source, start, width):  # noqa: ARG001  numba reads this signature
-    """The width x width matrix at ``at`` becomes the transpose of the one at ``start``, by 4 x 4 blocks."""
+    """The width x width matrix at ``at`` becomes the transpose of the one at ``start``."""
     place = _Place(to)
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
         to, at, source, start, _ = arguments
         long, number = width.literal_value, at.type
-        for i in range(0, long, _BLOCK):
-            for j in range(0, long, _BLOCK):
-                starts = [builder.add(start, number((i + r) * long + j)) for r in range(_BLOCK)]
-                block = [place.load(builder, source, each, _BLOCK) for each in starts]
-                for r, row in enumerate(_turn(builder, block, place.each)):
-                    place.store(builder, row, to, builder.add(at, number((j + r) * long + i)))
+        _settle(builder)
+        for i, rows in _blocks(long):
+            for j in range(0, long, 2):
+                starts = [builder.add(start, number((i + r) * long + j)) for r in range(rows)]
+                for c, column in enumerate(_two_columns(builder, place, source, starts)):
+                    place.store(builder, column, to, builder.add(at, number((j + c) * long + i)))
         return context.get_dummy_value()
 
     return (types.void(to, types.intp, source, types.intp, width), emit) if _fixed(width) else None
@@ -268,30 +293,106 @@ def _mirror(typing, to, at, width):  # noqa: ARG001  numba reads this signature
         def offset(row: int, column: int) -> Any:
             return builder.add(at, at.type(row * long + column))
 
-        for i in range(0, long, _BLOCK):
-            for j in range(i, long, _BLOCK):
-                block = [place.load(builder, to, offset(i + r, j), _BLOCK) for r in range(_BLOCK)]
-                for r, row in enumerate(_turn(builder, block, place.each)):
-                    kept = row
-                    if i == j:  # numbers of the turned block below the diagonal, its own on and above
-                        choice = [c if c < r else _BLOCK + c for c in range(_BLOCK)]
-                        kept = _shuffle(builder, row, block[r], choice, place.each)
-                    place.store(builder, kept, to, offset(j + r, i))
+        _settle(builder)
+        for i, rows in _blocks(long):
+            for j in range(i, long, 2):
+                columns = _two_columns(builder, place, to, [offset(i + r, j) for r in range(rows)])
+                for row, column in enumerate(columns, j):
+                    whole = column
+                    if row < i + rows:  # of a row that crosses the diagonal, what lies on and behind it stays
+                        own = place.load(builder, to, offset(row, i), rows)
+                        choice = [c if i + c < row else rows + c for c in range(rows)]
+                        whole = _shuffle(builder, column, own, choice, place.each)
+                    place.store(builder, whole, to, offset(row, i))
         return context.get_dummy_value()
 
     return (types.void(to, types.intp, width), emit) if _fixed(width) else None
 
 
-def _turn(builder: Any, rows: list[Any], each: int) -> list[Any]:
-    """The columns of four rows of four."""
+def _rows_finite(typing, source, at, height, width):  # noqa: ARG001  numba reads this signature
+    """Whether the sum of each column of the matrix at ``at`` is finite, as it is not where a number is not."""
+    place = _Place(source)
 
-    def pick(pair: list[Any], numbers: list[int]) -> Any:
-        return _shuffle(builder, pair[0], pair[1], numbers, each)
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        source, at, *_ = arguments
+        long = width.literal_value
+        rows = [
+            place.load(builder, source, builder.add(at, at.type(i * long)), long) for i in range(height.literal_value)
+        ]
+        while len(rows) > 1:
+            rows = [builder.fadd(p, q) for p, q in zip(rows[::2], rows[1::2], strict=False)] + (
+                rows[-1:] if len(rows) % 2 else []
+            )
+        return _all_finite(builder, rows[0], place.each)
 
-    low = [pick(pair, [0, 4, 2, 6]) for pair in (rows[:2], rows[2:])]
-    high = [pick(pair, [1, 5, 3, 7]) for pair in (rows[:2], rows[2:])]
-    first, second = [0, 1, 4, 5], [2, 3, 6, 7]
-    return [pick(low, first), pick(high, first), pick(low, second), pick(high, second)]
+    signature = (mask if place.each > 1 else types.boolean)(source, types.intp, height, width)
+    return (signature, emit) if _fixed(width) and _fixed(height) else None
+
+
+def _all_finite(builder: Any, row: Any, each: int) -> Any:
+    """Whether all numbers of a row are, for each lane."""
+    words = ir.VectorType(ir.IntType(64), row.type.count)
+    size = builder.and_(builder.bitcast(row, words), ir.Constant(words, [2**63 - 1] * words.count))
+    found = builder.fcmp_ordered("<", builder.bitcast(size, row.type), ir.Constant(row.type, [math.inf] * words.count))
+    if each == 1:
+        bits = ir.IntType(words.count)
+        return builder.icmp_unsigned("==", builder.bitcast(found, bits), bits(2**words.count - 1))
+    lane_bits = ir.Constant(ir.VectorType(ir.IntType(1), each), [1] * each)
+    for number in range(words.count // each):
+        order = [number * each + lane for lane in range(each)]
+        part = builder.shuffle_vector(
+            found, ir.Constant(found.type, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), each), order)
+        )
+        lane_bits = builder.and_(lane_bits, part)
+    return lane_bits
+
+
+def _pack_upper(typing, to, at, source, start, height, width):  # noqa: ARG001  numba reads this signature
+    """to[at:] = what lies on and above the diagonal of a matrix, row by row; a few numbers behind that are lost."""
+    place = _Place(to)
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        to, at, source, start, *_ = arguments
+        high, long, packed = height.literal_value, width.literal_value, 0
+        for i in range(high):
+            wide = -(-(high - i) // _TILE) * _TILE
+            row = place.load(builder, source, builder.add(start, start.type(i * (long + 1))), wide)
+            place.store(builder, row, to, builder.add(at, at.type(packed)))
+            packed += high - i
+        return context.get_dummy_value()
+
+    signature = types.void(to, types.intp, source, types.intp, height, width)
+    return (signature, emit) if _fixed(width) and _fixed(height) else None
+
+
+def _blocks(long: int) -> Iterator[tuple[int, int]]:
+    """First row and how many: as rows are read later, for what was stored in pieces has to reach the cache before."""
+    first = 0
+    while first < long:
+        rows = _NARROW if long - first >= _NARROW else _TILE
+        yield first, rows
+        first += rows
+
+
+def _settle(builder: Any) -> None:
+    """What was written is read again from memory: there, parts of rows are put together for less."""
+    builder.asm(ir.FunctionType(ir.VoidType(), []), "", "~{memory}", [], True)
+
+
+def _two_columns(builder: Any, place: _Place, source: Any, starts: list[Any]) -> list[Any]:
+    """Two columns of rows of which each begins at one of ``starts``."""
+    pairs = [place.load(builder, source, start, 2) for start in starts]
+    even, odd = (_concatenate(builder, pairs[first::2], place.each) for first in (0, 1))
+    half = [(number, len(starts) + number) for number in range(0, len(starts), 2)]
+    return [_shuffle(builder, even, odd, [n + c for two in half for n in two], place.each) for c in (0, 1)]
+
+
+def _concatenate(builder: Any, rows: list[Any], each: int) -> Any:
+    """One row of all, as many numbers in each."""
+    while len(rows) > 1:
+        numbers = [*range(2 * rows[0].type.count // each)]
+        rows = [_shuffle(builder, p, q, numbers, each) for p, q in zip(rows[::2], rows[1::2], strict=True)]
+    return rows[0]
 
 
 def _shuffle(builder: Any, p: Any, q: Any, numbers: list[int], each: int) -> Any:
@@ -349,6 +450,29 @@ class Outer(Protocol):
         """``height``, ``width`` and ``upper`` are constants."""
 
 
+class Gather(Protocol):
+    """The sum of ``count`` rows of ``source``, one behind the other, each with its own factor."""
+
+    def __call__(
+        self, to: Floats, at: int, source: Floats, start: int, factors: Floats, first: int, count: int, width: int
+    ) -> None:
+        """``width`` is a constant."""
+
+
+class Pack(Protocol):
+    """A symmetric matrix as its upper triangle."""
+
+    def __call__(self, to: Floats, at: int, source: Floats, start: int, height: int, width: int) -> None:
+        """``height`` and ``width`` are constants."""
+
+
+class Finite(Protocol):
+    """Whether a matrix has finite numbers only."""
+
+    def __call__(self, source: Floats, at: int, height: int, width: int) -> bool:
+        """``height`` and ``width`` are constants."""
+
+
 class Mirror(Protocol):
     """Make a matrix symmetric."""
 
@@ -384,6 +508,9 @@ row_sum = cast(Sum, intrinsic(prefer_literal=True)(_row_sum))
 row_scale = cast(Scaled, intrinsic(prefer_literal=True)(_row_scale))
 row_add = cast(Scaled, intrinsic(prefer_literal=True)(_row_add))
 row_take = cast(Take, intrinsic(prefer_literal=True)(_row_take))
+row_gather = cast(Gather, intrinsic(prefer_literal=True)(_row_gather))
+rows_finite = cast(Finite, intrinsic(prefer_literal=True)(_rows_finite))
+pack_upper = cast(Pack, intrinsic(prefer_literal=True)(_pack_upper))
 transpose = cast(Copy, intrinsic(prefer_literal=True)(_transpose))
 take_outer = cast(Outer, intrinsic(prefer_literal=True)(_take_outer))
 mirror = cast(Mirror, intrinsic(prefer_literal=True)(_mirror))

@@ -58,27 +58,31 @@ def _cos_series(x: float) -> float:
 
 
 @inline
+def sin_cos(angle: float) -> tuple[float, float]:
+    """Sine and cosine, which take little more than one of them."""
+    rest, quarter = _eighth(angle)
+    sine, cosine, odd = _sin_series(rest), _cos_series(rest), (quarter & 1) != 0
+    first, second = where(odd, cosine, sine), where(odd, sine, cosine)
+    return where((quarter & 2) != 0, -first, first), where(((quarter + 1) & 2) != 0, -second, second)
+
+
+@inline
 def sin(angle: float) -> float:
     """Sine."""
-    rest, quarter = _eighth(angle)
-    sine, cosine = _sin_series(rest), _cos_series(rest)
-    value = where((quarter & 1) != 0, cosine, sine)
-    return where((quarter & 2) != 0, -value, value)
+    return sin_cos(angle)[0]
 
 
 @inline
 def cos(angle: float) -> float:
     """Cosine."""
-    rest, quarter = _eighth(angle)
-    sine, cosine = _sin_series(rest), _cos_series(rest)
-    value = where((quarter & 1) != 0, sine, cosine)
-    return where(((quarter + 1) & 2) != 0, -value, value)
+    return sin_cos(angle)[1]
 
 
 @inline
 def tan(angle: float) -> float:
     """Tangent."""
-    return sin(angle) / cos(angle)
+    sine, cosine = sin_cos(angle)
+    return sine / cosine
 
 
 @inline

@@ -19,8 +19,7 @@ import math
 from fuselog.fusion.kernel.advance import admit, insert, write
 from fuselog.fusion.kernel.blank import LD, WIDTH, N, X, adjoin, inject
 from fuselog.fusion.kernel.fields import record_at
-from fuselog.fusion.kernel.innovation import mahalanobis
-from fuselog.fusion.kernel.layout import AT, COVARIANCE, DRIVES_PREVIOUS, FUSED, KNOWN, MOST, RESETS, ROW, WHITE
+from fuselog.fusion.kernel.layout import APART, AT, COVARIANCE, DRIVES_PREVIOUS, FUSED, KNOWN, MOST, RESETS, ROW
 from fuselog.fusion.kernel.moments import marks_at
 from fuselog.fusion.kernel.rows import mirror, row_copy, row_scale, row_take, take_outer
 from fuselog.fusion.kernel.seeding import give_variance
@@ -82,16 +81,18 @@ def keep(tables: Tables, history: History, work: Work, trail: Trail, k: int) -> 
     if history.decision[k] == FUSED:
         m = history.dof[k]
     trail.used[k] = m
-    mahalanobis(w, m)  # L may have changed since
     first = k * M * LD
     for a in range(m):
         at = first + a * LD
-        trail.y[k * M + a] = w.y[a]
-        row_scale(trail.V, at, w.rows, WHITE + a * LD, -1.0, LD)
         clear_row(H, at)
         for j in range(w.hn[a]):
             H[at + w.hi[a * WIDTH + j]] = w.hv[a * WIDTH + j]
-        row_take(H, at, H, at, H, first, LD, w.L, a * m, 1, a, w.L[a * m + a], LD)
+        row_take(H, at, H, at, H, first, LD, w.L, a * m, 1, a, 1.0, LD)
+    for a in range(m):
+        at, scale = first + a * LD, math.sqrt(w.D[a])
+        trail.y[k * M + a] = scale * w.y[a]
+        row_scale(trail.V, at, w.rows, APART + a * LD, -scale, LD)
+        row_scale(H, at, H, at, scale, LD)
 
 
 @inline

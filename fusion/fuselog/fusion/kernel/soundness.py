@@ -11,7 +11,6 @@ from fuselog.fusion.kernel.layout import (
     BAD_COVARIANCE,
     BAD_NUMBER,
     COVARIANCE,
-    DELTA,
     FUSED,
     KNOWN,
     RESETS,
@@ -19,9 +18,9 @@ from fuselog.fusion.kernel.layout import (
     SINGULAR,
 )
 from fuselog.fusion.kernel.moments import marks_at, moment
-from fuselog.fusion.kernel.rows import row_add, row_copy
+from fuselog.fusion.kernel.rows import mirror, rows_finite
 from fuselog.fusion.kernel.seeding import give_variance
-from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
+from fuselog.fusion.kernel.tables import Floats, History, Tables
 from fuselog.schemas.compiled import inline
 
 INFLATION = 4.0  # of the variances that a covariance begins anew with
@@ -53,23 +52,17 @@ def finite(values: Floats, count: int) -> bool:
 
 
 @inline
-def wrong(tables: Tables, history: History, work: Work, k: int) -> int:
-    """What is wrong with the state of entry k; FUSED where nothing is."""
-    s, w, b, total = history.state, work.rows, k * ROW, 0.0
-    for i in range(X):
-        total += s[b + i]
-    if not -math.inf < total < math.inf:
+def conclude(tables: Tables, history: History, k: int) -> int:
+    """Make P of entry k exactly symmetric; what is wrong with the state, FUSED where nothing is."""
+    s, b = history.state, k * ROW
+    if not rows_finite(s, b, 1, X):
         return BAD_NUMBER
     if tables.covariance:
-        P, positive = b + COVARIANCE, True
-        row_copy(w, DELTA, s, P, LD)
-        for i in range(1, N):
-            row_add(w, DELTA, s, P + i * LD, 1.0, LD)
-        total = 0.0
+        P, unsigned = b + COVARIANCE, True
+        mirror(s, P, LD)
         for i in range(N):
-            total += w[DELTA + i]
-            positive &= s[P + i * LD + i] >= 0.0
-        if not (positive and -math.inf < total < math.inf):
+            unsigned &= s[P + i * LD + i] >= 0.0
+        if not (unsigned and rows_finite(s, P, N, LD)):
             return BAD_COVARIANCE
     return SINGULAR if beyond(history, k) else FUSED
 

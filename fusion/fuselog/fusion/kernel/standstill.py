@@ -9,6 +9,7 @@ so that their means are independent.
 from fuselog.fusion.kernel.blank import LD, N, inject
 from fuselog.fusion.kernel.layout import (
     AGE,
+    APART,
     COUNT,
     COVARIANCE,
     DELTA,
@@ -24,7 +25,6 @@ from fuselog.fusion.kernel.layout import (
     STOOD,
     SURE,
     TUNING,
-    WHITE,
 )
 from fuselog.fusion.kernel.robust import tuning_of
 from fuselog.fusion.kernel.rows import mirror, row_copy, row_scale, take_outer
@@ -113,13 +113,13 @@ def settle(history: History, work: Work, k: int, state: int, value: float, R: fl
         s[b + state], s[b + KNOWN + state] = value, 1.0
         give_variance(s, P, state, R)
         return
+    mirror(s, P, LD)
     row = P + state * LD
     S = s[row + state] + R
     row_scale(w, DELTA, s, row, (value - s[b + state]) / S, LD)
     inject(s, b, w, DELTA)
     row_scale(w, HP, s, row, 1.0 / S, LD)
-    row_copy(w, WHITE, s, row, LD)
-    take_outer(s, P, w, HP, w, WHITE, 1, N, LD, True)
+    row_copy(w, APART, s, row, LD)
+    take_outer(s, P, w, HP, w, APART, 1, N, LD, True)
     for j in range(N):  # exact where the variance is far above R
-        s[P + min(j, state) * LD + max(j, state)] = w[WHITE + j] * (R / S)
-    mirror(s, P, LD)
+        s[P + min(j, state) * LD + max(j, state)] = w[APART + j] * (R / S)

@@ -1,8 +1,8 @@
 """The filter: one sample applied to one state. Compiled together with the model that takes the place of ``blank``.
 
-predict -> innovate -> weigh -> accept -> gain -> correct, over flat rows. Covariance is Joseph's form, for any gain:
-P = (I - G H) P (I - G H)' + G R G' (Bezmen 2019 holds eq. 26 only for the optimal gain). Whatever moves P leaves it
-exactly symmetric.
+predict -> innovate -> weigh -> accept -> gain -> amend -> conclude, over flat rows. Covariance is Joseph's form, for
+any gain: P = (I - G H) P (I - G H)' + G R G' (Bezmen 2019 holds eq. 26 only for the optimal gain). Whatever a step does
+to P leaves it exactly symmetric.
 """
 
 import math
@@ -10,7 +10,7 @@ import math
 from fuselog.fusion.kernel.blank import LD, U, X, move
 from fuselog.fusion.kernel.extended import amend, compare, forecast
 from fuselog.fusion.kernel.gains import gain, has_vote
-from fuselog.fusion.kernel.innovation import cholesky, innovate, mahalanobis, take_noise
+from fuselog.fusion.kernel.innovation import innovate, positive
 from fuselog.fusion.kernel.layout import (
     AT,
     BAD_CLOCK,
@@ -35,7 +35,7 @@ from fuselog.fusion.kernel.moments import choose, marks_at, moment
 from fuselog.fusion.kernel.robust import accept, noise_factor, remember
 from fuselog.fusion.kernel.rows import row_copy
 from fuselog.fusion.kernel.seeding import all_known, level, ready, seed
-from fuselog.fusion.kernel.soundness import finite, hold, lose, restart, whole_steps, wrong
+from fuselog.fusion.kernel.soundness import conclude, finite, hold, lose, restart, whole_steps
 from fuselog.fusion.kernel.standstill import stand
 from fuselog.fusion.kernel.tables import NEVER, History, Tables, Work
 from fuselog.schemas.compiled import inline
@@ -56,7 +56,7 @@ def step(tables: Tables, history: History, work: Work, k: int) -> None:
     choose(tables, history, k)
     if fault == FUSED:
         history.decision[k] = apply(tables, history, work, k, sensor, role)
-        fault = wrong(tables, history, work, k)
+        fault = conclude(tables, history, k)
         if fault != FUSED:
             fault = take_back(tables, history, work, k, role, fault)
     if fault != FUSED:
@@ -69,7 +69,7 @@ def take_back(tables: Tables, history: History, work: Work, k: int, role: int, f
     """Entry k without its sample, or without its prediction where that is what is wrong; returns what is wrong."""
     carry(tables, history, work, k, role)
     choose(tables, history, k)
-    own = wrong(tables, history, work, k)
+    own = conclude(tables, history, k)
     if own != FUSED:
         fault = own
         hold(tables, history, k)
@@ -154,23 +154,19 @@ def correct(tables: Tables, history: History, work: Work, k: int, sensor: int) -
     if not has_vote(tables, history, work, k, sensor):
         return SKIPPED
     work.factor[0] = noise_factor(tables, history, k, sensor)
-    sound = True
+    nis = 0.0
     if tables.covariance:
-        sound = compare(tables, history, work, k, sensor, m)
+        nis = compare(tables, history, work, k, sensor, m)
     else:
         innovate(tables, history, work, k, sensor, m)
-    if not sound:
-        restart(tables, history, k)
-        return BAD_COVARIANCE
     if not finite(work.nu, m):
         return BAD_NUMBER
+    if nis < 0.0:
+        if positive(tables, history, work, k, sensor, m):  # then it is P that is none
+            restart(tables, history, k)
+        return BAD_COVARIANCE
     if tables.covariance:
-        if not cholesky(work.S, work.L, m):
-            take_noise(tables, history, work, k, sensor, m)
-            if cholesky(work.S, work.L, m):  # then it is P that is none
-                restart(tables, history, k)
-            return BAD_COVARIANCE
-        history.nis[k], history.dof[k] = mahalanobis(work, m), m
+        history.nis[k], history.dof[k] = nis, m
         if not accept(tables, history, work, k, sensor, m):
             return GATED
     if not gain(tables, history, work, k, sensor, m):

@@ -159,15 +159,18 @@ class Work(NamedTuple):
     """Scratch of one step; holds nothing between steps."""
 
     rows: Floats  # two products of N rows, then MOST rows each of H P, G', L^-1 H P and Joseph's T' H', and dx
-    S: Floats  # (M, M)
-    L: Floats  # (M, M)
-    y: Floats  # (M,)
+    S: Floats  # (M,) diagonal of H P H'
+    L: Floats  # (M, M) with L D L' = S, the ones in its diagonal left out
+    D: Floats  # (M,) the inverse of that diagonal matrix
+    B: Floats  # (M, M) L^-1 R, above the diagonal
+    y: Floats  # (M,) L^-1 nu
     nu: Floats  # (M,)
     hv: Floats  # (M + 1, WIDTH) non-zero derivatives of each measured number, and of one looked at in passing
     hi: Ints  # (M + 1, WIDTH) the states that they belong to
     hn: Ints  # (M + 1,) how many
     active: Ints  # (M,) the numbers that take part in this update
     factor: Floats  # (1,) on R of the sample at hand
+    diagonal: Ints  # (1,) whether that is diagonal
     modest: Ints  # (1,) whether the short form of the covariance will do for it
     q: Floats  # (K,) q with the process noise as it is learned
     here: Ints  # (S,) the last entry of each sensor in the moment, or -1

@@ -10,10 +10,10 @@ and a quaternion, are averaged through their differences. Q is the model's, adde
 import math
 
 from fuselog.fusion.kernel.blank import ANGLES, LD, ROTATION, N, U, X, disturb, inject, move
-from fuselog.fusion.kernel.innovation import measure
+from fuselog.fusion.kernel.innovation import measure, set_apart
 from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, HP, INPUT, JOSEPH, MOST, ROW, SCRATCH, G
 from fuselog.fusion.kernel.rotations import turn_between
-from fuselog.fusion.kernel.rows import mirror, row_add, row_copy, row_scale, take_outer
+from fuselog.fusion.kernel.rows import row_add, row_copy, row_scale, take_outer
 from fuselog.fusion.kernel.scalars import wrap
 from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
@@ -59,16 +59,18 @@ def forecast(tables: Tables, history: History, work: Work, k: int, dt: float) ->
         differ(w, MOVED + p * X, s, b, AWAY + p * LD)
     gather_covariance(s, b + COVARIANCE, w)
     disturb(s, a, b, dt, tables.q)
-    mirror(s, b + COVARIANCE, LD)
     return True
 
 
 @inline
-def compare(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
-    """nu, S and the covariance of what is measured with x in the place of H P; whether P is one."""
+def compare(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> float:
+    """nu and S taken apart, the covariance of what is measured with x in the place of H P; the NIS.
+
+    That is -1 where P or S is no covariance.
+    """
     s, w, b, M, rows = history.state, work.rows, k * ROW, tables.M, tables.rows[sensor]
     if not root(s, b + COVARIANCE, w):
-        return False
+        return -1.0
     row_copy(w, POINT, s, b, X)
     for p in range(POINTS + 1):
         row_copy(s, b, w, POINT, X)
@@ -91,9 +93,30 @@ def compare(tables: Tables, history: History, work: Work, k: int, sensor: int, m
             total = history.R[k * M * M + i * rows + work.active[c]]
             for p in range(POINTS + 1):
                 total += weight(p) * w[MEASURED + p * MOST + a] * w[MEASURED + p * MOST + c]
-            work.S[a * m + c] = total
-        history.S[k * M + i] = work.S[a * m + a]
-    return True
+            work.L[a * m + c] = total
+        history.S[k * M + i] = work.L[a * m + a]
+    work.modest[0] = 0
+    return take_apart(work, m)
+
+
+@inline
+def take_apart(work: Work, m: int) -> float:
+    """As ``decorrelate``, of the S that L holds."""
+    L, nis = work.L, 0.0
+    for a in range(m):
+        pivot, rest = L[a * m + a], work.nu[a]
+        for c in range(a):
+            for j in range(c):
+                L[a * m + c] -= L[c * m + j] * L[a * m + j]
+        for c in range(a):
+            share = L[a * m + c] * work.D[c]
+            pivot -= share * L[a * m + c]
+            rest -= share * work.y[c]
+            L[a * m + c] = share
+        if not 0.0 < pivot < math.inf:
+            return -1.0
+        nis += set_apart(work, m, a, pivot, rest)
+    return nis
 
 
 @inline
@@ -113,7 +136,6 @@ def amend(tables: Tables, history: History, work: Work, k: int, sensor: int, m: 
     inject(s, b, w, DELTA)
     gather_covariance(s, b + COVARIANCE, w)
     take_outer(s, b + COVARIANCE, w, G, w, JOSEPH, m, N, LD, True)
-    mirror(s, b + COVARIANCE, LD)
 
 
 @inline
