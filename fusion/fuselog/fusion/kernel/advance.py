@@ -21,8 +21,9 @@ from fuselog.fusion.kernel.layout import (
     UNDECIDED,
 )
 from fuselog.fusion.kernel.moments import marks_at, moment
-from fuselog.fusion.kernel.rows import pack_upper, row_copy
+from fuselog.fusion.kernel.rows import row_copy
 from fuselog.fusion.kernel.soundness import conclude
+from fuselog.fusion.kernel.squares import pack_upper
 from fuselog.fusion.kernel.step import carry
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
 from fuselog.schemas.compiled import inline, kernel

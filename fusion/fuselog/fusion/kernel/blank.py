@@ -23,7 +23,7 @@ ROTATION = -1  # where roll, pitch, yaw stand when they are kept as a quaternion
 
 
 def predict(s: Floats, a: int, b: int, dt: float, q: Floats, w: Floats) -> None:
-    """State row b from row a after dt: x = f(x, u, dt), P = F P F' + Q. w is scratch of 2 N LD numbers."""
+    """State row b from row a after dt: x = f(x, u, dt), P = F P F' + Q. w is scratch of 2 LD LD numbers."""
 
 
 def move(s: Floats, a: int, b: int, dt: float, q: Floats) -> None:
@@ -39,7 +39,7 @@ def linearise(s: Floats, a: int, b: int, dt: float, q: Floats, F: Floats, Q: Flo
 
 
 def adjoin(s: Floats, a: int, b: int, dt: float, q: Floats, A: Floats, w: Floats) -> None:
-    """F' A F in place of A and F' l of the row l behind it, by F of ``predict``. w is as there."""
+    """F' A F in place of A and F' l of the row l behind it, by F of ``predict``. w is scratch of 3 LD LD numbers."""
 
 
 def inject(s: Floats, a: int, w: Floats, d: int) -> None:

@@ -41,7 +41,6 @@ from math import sqrt
 
 import numpy as np
 
-from fuselog.fusion.kernel.rows import mirror, row_increase, row_sum, transpose
 from fuselog.fusion.kernel.scalars import (
     asin,
     atan2,
@@ -58,6 +57,8 @@ from fuselog.fusion.kernel.scalars import (
     wrap,
 )
 from fuselog.fusion.kernel.rotations import right_jacobian, settle_rotation, show_rotation, turn_between, turn_rotation
+from fuselog.fusion.kernel.rows import row_copy
+from fuselog.fusion.kernel.squares import congruence, increase, mirror
 from fuselog.schemas.compiled import inline, once
 
 '''

@@ -10,7 +10,7 @@ subexpressions shared and zeros left out.
 # pyright: reportUnknownLambdaType=false, reportConstantRedefinition=false, reportReturnType=false
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import sympy as sp
@@ -79,7 +79,15 @@ def generate(model: Model, measured: Mapping[str, Expr]) -> str:
         f"LIMITS = np.array([{', '.join(_limit(model, name) for name in model.names)}])",
         f"ROTATION = {model.names.index(ROTATION[0]) if model.rotation else -1}  # where roll, pitch, yaw stand",
     ]
-    parts = [*([] if model.by_matrices else _moves(model)), _inject(model), _observe(model, measured)]
+    texts = None if model.by_matrices else _texts(model)
+    moves = [] if texts is None else _moves(model, texts)
+    if texts is not None:
+        head += [
+            f"FORTH = congruence({_sparse(texts.F, n)})  # F P F'",
+            f"BACK = congruence({_sparse([(j, i) for i, j in texts.F], n)})  # F' P F",
+            f"NOISE = increase({_noisy(texts.Q, n)})  # P + Q",
+        ]
+    parts = [*moves, _inject(model), _observe(model, measured)]
     return "\n".join([*head, *(line for part in parts for line in ("", "", *part)), ""])
 
 
@@ -217,8 +225,7 @@ def _texts(model: Model) -> _Texts:
     )
 
 
-def _moves(model: Model) -> list[list[str]]:
-    texts = _texts(model)
+def _moves(model: Model, texts: _Texts) -> list[list[str]]:
     return [_predict(model, texts), _move(model, texts), _disturb(texts), _linearise(texts), _adjoin(model, texts)]
 
 
@@ -233,9 +240,7 @@ def _predict(model: Model, texts: _Texts) -> list[str]:
         '    """',
         *texts.head,
         *(f"    F_{i}_{j} = {value}" for (i, j), value in texts.F.items()),
-        *_product("w", "0", "s", "a + COVARIANCE", off, n, upper=False),
-        "    transpose(w, LD * LD, w, 0, LD)",
-        *_product("s", "b + COVARIANCE", "w", "LD * LD", off, n, upper=False),
+        f"    FORTH(s, b + COVARIANCE, s, a + COVARIANCE, w, {_tuple(_entries(off, n))}, LD)",
         *_add_noise(texts.Q, n),
         *_arrive(model, texts),
     ]
@@ -277,14 +282,31 @@ def _disturb(texts: _Texts) -> list[str]:
 
 
 def _add_noise(Q: Mapping[tuple[int, int], str], n: int) -> list[str]:
-    """P += Q, row by row: number by number they would have to be in memory before a row is read."""
-    width, names = _padded(n), {place: f"Q_{place[0]}_{place[1]}" for place in Q}
-    lines = [f"    {names[place]} = {value}" for place, value in Q.items()]
-    for i in range(n):
-        row = [names.get((min(i, j), max(i, j)), "0.0") for j in range(width)]
-        if {*row} != {"0.0"}:
-            lines.append(f"    row_increase(s, b + COVARIANCE + {i} * LD, ({', '.join(row)}), {width})")
-    return lines
+    """P += Q."""
+    lines = [f"    Q_{i}_{j} = {value}" for (i, j), value in Q.items()]
+    numbers = [f"Q_{min(i, j)}_{max(i, j)}" for i, columns in enumerate(_noisy(Q, n)) for j in columns]
+    return [*lines, f"    NOISE(s, b + COVARIANCE, {_tuple(numbers)}, LD)"] if Q else []
+
+
+def _noisy(Q: Iterable[tuple[int, int]], n: int) -> list[list[int]]:
+    """The columns of each row of Q that are not 0."""
+    both = {*Q} | {(j, i) for i, j in Q}
+    return [[j for j in range(n) if (i, j) in both] for i in range(n)]
+
+
+def _sparse(off: Iterable[tuple[int, int]], n: int) -> list[list[int]]:
+    """The columns of each row of F, given the places where it is not I; none where the row is."""
+    changed = {i for i, _ in off}
+    return [[i, *sorted(j for k, j in off if k == i != j)] if i in changed else [] for i in range(n)]
+
+
+def _entries(off: Mapping[tuple[int, int], str], n: int) -> list[str]:
+    """What is there, row by row."""
+    return [off.get((i, j), "1.0") for i, columns in enumerate(_sparse(off, n)) for j in columns]
+
+
+def _tuple(values: Iterable[str]) -> str:
+    return f"({''.join(f'{value}, ' for value in values)})"
 
 
 def _linearise(texts: _Texts) -> list[str]:
@@ -305,12 +327,15 @@ def _adjoin(model: Model, texts: _Texts) -> list[str]:
     rows = {i: {i: "1.0"} | {j: factor for (k, j), factor in sorted(turned.items()) if k == i} for i, _ in turned}
     body = [
         "def adjoin(s, a, b, dt, q, A, w):",
-        '    """F\' A F in place of A and F\' l of the row l behind it, by F of ``predict``. w is as there."""',
+        '    """F\' A F in place of A and F\' l of the row l behind it, by F of ``predict``.',
+        "",
+        "    w is scratch of 3 LD LD numbers.",
+        '    """',
         *texts.head,
         *(f"    F_{i}_{j} = {value}" for (i, j), value in texts.F.items()),
-        *_product("w", "0", "A", "0", turned, n, upper=False),
-        "    transpose(w, LD * LD, w, 0, LD)",
-        *_product("A", "0", "w", "LD * LD", turned, n, upper=True),
+        f"    BACK(w, 2 * LD * LD, A, 0, w, {_tuple(_entries(turned, n))}, LD)",
+        "    for i in range(LD):",
+        "        row_copy(A, i * LD, w, (2 * LD + i) * LD, LD)",
         "    mirror(A, 0, LD)",
         *(
             f"    l_{i} = " + " + ".join(f"{factor} * A[LD * LD + {j}]" for j, factor in terms.items())
@@ -353,24 +378,6 @@ def _process_noise(model: Model, motion: _Motion) -> dict[tuple[int, int], Expr]
             lambda i, j: sum((roots[i][k] * roots[j][k] * u for k, u in enumerate(U)), sp.Integer(0)) * DT,
         )
     return {(i, j): Q[i, j] for i in range(Q.rows) for j in range(i, Q.cols) if Q[i, j] != 0}
-
-
-def _product(
-    out: str, to: str, source: str, at: str, off: Mapping[tuple[int, int], str], n: int, *, upper: bool
-) -> list[str]:
-    """Lines for out = F source, row by row; of a symmetric product only from the block of the diagonal on.
-
-    ``off`` names the entries of F that are not those of I.
-    """
-    lines, width = list[str](), _padded(n)
-    for i in range(n):
-        column = i // MULTIPLE * MULTIPLE if upper else 0
-        terms = {i: "1.0"} | {j: factor for (k, j), factor in sorted(off.items()) if k == i}
-        starts = "".join(f"{at} + {j} * LD + {column}, " for j in terms)
-        factors = "".join(f"{factor}, " for factor in terms.values())
-        place = f"{to} + {i} * LD + {column}"
-        lines.append(f"    row_sum({out}, {place}, {source}, ({starts}), ({factors}), {width - column})")
-    return lines
 
 
 def _observe(model: Model, measured: Mapping[str, Expr]) -> list[str]:

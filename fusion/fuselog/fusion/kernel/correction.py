@@ -4,7 +4,8 @@ from fuselog.fusion.kernel.blank import LD, WIDTH, N, inject
 from fuselog.fusion.kernel.gains import policy, scale_apart
 from fuselog.fusion.kernel.innovation import project
 from fuselog.fusion.kernel.layout import APART, COVARIANCE, DELTA, HP, JOSEPH, OPTIMAL, ROW, G
-from fuselog.fusion.kernel.rows import row_add, row_gather, row_scale, take_outer
+from fuselog.fusion.kernel.rows import row_add, row_gather, row_scale
+from fuselog.fusion.kernel.squares import take_outer
 from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
 
@@ -21,7 +22,7 @@ def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
 @inline
 def is_short(tables: Tables, history: History, work: Work, k: int, sensor: int) -> bool:
     """Whether the gain is the optimal one, and its short form will do: that needs no G."""
-    return tables.covariance and policy(tables, history, k, sensor) == OPTIMAL and bool(work.modest[0])
+    return tables.covariance != 0 and policy(tables, history, k, sensor) == OPTIMAL and bool(work.modest[0])
 
 
 @inline

@@ -11,8 +11,8 @@ import numpy as np
 from fuselog.fusion.kernel.blank import ANGLES, LD, N, U
 from fuselog.fusion.kernel.discretise import discretise
 from fuselog.fusion.kernel.layout import COVARIANCE, INPUT
-from fuselog.fusion.kernel.rows import mirror
 from fuselog.fusion.kernel.scalars import wrap
+from fuselog.fusion.kernel.squares import mirror
 from fuselog.fusion.kernel.tables import Floats
 from fuselog.schemas.compiled import inline
 
@@ -91,7 +91,7 @@ def arrive(s: Floats, a: int, b: int, F: Floats, G: Floats, w: Floats) -> None:
 
 @inline
 def adjoin(s: Floats, a: int, b: int, dt: float, q: Floats, A: Floats, w: Floats) -> None:
-    """F' A F in place of A and F' l of the row l behind it, by F of ``predict``. w is as there."""
+    """F' A F in place of A and F' l of the row l behind it, by F of ``predict``. w is scratch of 3 LD LD numbers."""
     F, G, Q = np.zeros(N * N), np.zeros(N * U), np.zeros(N * N)
     discretise(q, N, U, dt, F, G, Q)
     for i in range(N):

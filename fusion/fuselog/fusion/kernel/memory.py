@@ -58,7 +58,7 @@ def empty_history(kernel: ModuleType, tables: Tables, capacity: int) -> History:
         R=np.zeros(C * M * M),
         marks=np.zeros(C * (kernel.MARKS + sensors * kernel.SENSOR_MARKS), np.int64),
         learned=np.zeros(C * tables.learned),
-        state=aligned(C * kernel.ROW),
+        state=_zeros(C * kernel.ROW),
         nis=np.zeros(C),
         dof=np.zeros(C, np.int64),
         nu=np.zeros(C * M),
@@ -68,18 +68,25 @@ def empty_history(kernel: ModuleType, tables: Tables, capacity: int) -> History:
 
 
 def aligned(count: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """Zeros that begin with a line of the cache, so that a row of P is in one or two of them."""
+    """Memory as it is, that begins with a line of the cache, so that a row of P is in one or two of them."""
     line, size = 64, np.dtype(dtype).itemsize
-    room = np.zeros(count + line // size, dtype)
+    room = np.empty(count + line // size, dtype)
     first = -room.ctypes.data % line // size
     return room[first : first + count]
+
+
+def _zeros(count: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """The same, all 0."""
+    room = aligned(count, dtype)
+    room.fill(0)
+    return room
 
 
 def compact_history(history: History) -> History:
     """The entries that are there, as copies, with room for one more: none at all could not be told from all free."""
     head, tail = int(history.cursor[0]), int(history.cursor[1])
     capacity = tail + 2 - head
-    columns = [aligned(len(column) // history.capacity * capacity, column.dtype) for column in history[3:]]
+    columns = [_zeros(len(column) // history.capacity * capacity, column.dtype) for column in history[3:]]
     compact = History(capacity, history.cursor.copy(), history.counts.copy(), *columns)
     move_history(history, head, compact)
     return compact
@@ -99,7 +106,7 @@ def scratch(kernel: ModuleType, tables: Tables) -> Work:
     """What one step works with."""
     M = tables.M
     return Work(
-        rows=aligned(kernel.ROOM),
+        rows=_zeros(kernel.ROOM),
         S=np.zeros(M),
         L=np.zeros(M * M),
         D=np.zeros(M),

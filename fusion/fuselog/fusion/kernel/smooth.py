@@ -21,8 +21,9 @@ from fuselog.fusion.kernel.blank import LD, WIDTH, N, X, adjoin, inject
 from fuselog.fusion.kernel.fields import record_at
 from fuselog.fusion.kernel.layout import APART, AT, COVARIANCE, DRIVES_PREVIOUS, FUSED, KNOWN, MOST, RESETS, ROW
 from fuselog.fusion.kernel.moments import marks_at
-from fuselog.fusion.kernel.rows import mirror, row_copy, row_scale, row_take, take_outer
+from fuselog.fusion.kernel.rows import row_copy, row_scale, row_take
 from fuselog.fusion.kernel.seeding import give_variance
+from fuselog.fusion.kernel.squares import mirror, take_outer
 from fuselog.fusion.kernel.step import step
 from fuselog.fusion.kernel.tables import NEVER, Floats, History, Rows, Samples, Tables, Work
 from fuselog.fusion.kernel.trail import Trail, Visits

@@ -18,8 +18,8 @@ from fuselog.fusion.kernel.layout import (
     SINGULAR,
 )
 from fuselog.fusion.kernel.moments import marks_at, moment
-from fuselog.fusion.kernel.rows import mirror, rows_finite
 from fuselog.fusion.kernel.seeding import give_variance
+from fuselog.fusion.kernel.squares import mirror, rows_finite
 from fuselog.fusion.kernel.tables import Floats, History, Tables
 from fuselog.schemas.compiled import inline
 

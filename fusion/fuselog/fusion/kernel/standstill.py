@@ -27,8 +27,9 @@ from fuselog.fusion.kernel.layout import (
     TUNING,
 )
 from fuselog.fusion.kernel.robust import tuning_of
-from fuselog.fusion.kernel.rows import mirror, row_copy, row_scale, take_outer
+from fuselog.fusion.kernel.rows import row_copy, row_scale
 from fuselog.fusion.kernel.seeding import give_variance
+from fuselog.fusion.kernel.squares import mirror, take_outer
 from fuselog.fusion.kernel.tables import History, Tables, Work
 from fuselog.schemas.compiled import inline
 

@@ -13,8 +13,9 @@ from fuselog.fusion.kernel.blank import ANGLES, LD, ROTATION, N, U, X, disturb, 
 from fuselog.fusion.kernel.innovation import measure, set_apart
 from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, HP, INPUT, JOSEPH, MOST, ROW, SCRATCH, G
 from fuselog.fusion.kernel.rotations import turn_between
-from fuselog.fusion.kernel.rows import row_add, row_copy, row_scale, take_outer
+from fuselog.fusion.kernel.rows import row_add, row_copy, row_scale
 from fuselog.fusion.kernel.scalars import wrap
+from fuselog.fusion.kernel.squares import take_outer
 from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
 
