@@ -10,6 +10,7 @@ stream as fast as it goes instead, and compares with a subscriber that only coun
 """
 
 import argparse
+import asyncio
 import json
 import os
 import re
@@ -204,25 +205,46 @@ def cpu_s(pid: int) -> list[float]:
     return [(int(each[11]) + int(each[12])) / os.sysconf("SC_CLK_TCK") for each in fields]
 
 
-def ask(url: str, rate: float, stop: threading.Event, times: list[float]) -> None:
-    """Health of all filters, ``rate`` times a second, over one connection that is kept."""
-    import http.client  # noqa: PLC0415  only here
+async def visit(url: str, requests: float, clients: int, stop: threading.Event, times: list[float]) -> None:
+    """Ask for health so many times a second over eight connections, and read the stream of events over others.
 
-    host = url.removeprefix("http://")
-    connection, due = http.client.HTTPConnection(host), time.monotonic()
-    while not stop.is_set():
-        begun = time.monotonic()
-        connection.request("GET", "/api/v1/filters/r0/health")
-        connection.getresponse().read()
-        times.append(time.monotonic() - begun)
-        due = max(due + 1 / rate, begun)
-        time.sleep(max(due - time.monotonic(), 0))
+    One thread, and no more of HTTP than it takes: what a visitor spends is not the service's.
+    """
+    host, _, port = url.removeprefix("http://").partition(":")
 
+    async def begin(path: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter, bytes]:
+        reader, writer = await asyncio.open_connection(host, int(port))
+        return reader, writer, f"GET {path} HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode()
 
-def read_events(url: str, stop: threading.Event) -> None:
-    with urllib.request.urlopen(f"{url}/api/v1/stream?rate=2", timeout=10) as answer:
-        while not stop.is_set() and answer.readline():
+    async def ask(period: float) -> None:
+        reader, writer, request = await begin("/api/v1/filters/r0/health")
+        due = time.monotonic()
+        while True:
+            begun = time.monotonic()
+            writer.write(request)
+            head = await reader.readuntil(b"\r\n\r\n")
+            assert head.startswith(b"HTTP/1.1 200"), head
+            await reader.readexactly(int(head.lower().partition(b"content-length: ")[2].split()[0]))
+            times.append(time.monotonic() - begun)
+            due = max(due + period, begun)
+            await asyncio.sleep(max(due - time.monotonic(), 0))
+
+    async def read_events() -> None:
+        reader, writer, request = await begin("/api/v1/stream?rate=2")
+        writer.write(request)
+        while await reader.read(1 << 16):
             pass
+
+    tasks = [asyncio.create_task(read_events()) for _ in range(clients)]
+    if requests:
+        tasks += [asyncio.create_task(ask(8 / requests)) for _ in range(8)]
+    while not stop.is_set():
+        await asyncio.sleep(0.1)
+        for task in tasks:
+            if task.done():
+                task.result()
+    for task in tasks:
+        task.cancel()
 
 
 def load(robots: int, seconds: float, requests: float, clients: int) -> None:
@@ -235,19 +257,16 @@ def load(robots: int, seconds: float, requests: float, clients: int) -> None:
         arguments = ["--robots", str(robots), "--seconds", str(seconds), "--publish"]
         sender = subprocess.Popen([*here, *arguments], stdout=subprocess.PIPE, text=True)
         stop, times = threading.Event(), list[float]()
-        workers = [threading.Thread(target=read_events, args=(service.url, stop)) for _ in range(clients)]
-        if requests:
-            workers += [threading.Thread(target=ask, args=(service.url, requests / 8, stop, times)) for _ in range(8)]
+        visiting = threading.Thread(target=lambda: asyncio.run(visit(service.url, requests, clients, stop, times)))
         time.sleep(2.5)
-        for worker in workers:
-            worker.start()
+        visiting.start()
         before, begun = cpu_s(service.process.pid), time.monotonic()
         time.sleep(max(seconds - 3, 1))
         took = time.monotonic() - begun
         cores = [(now - then) / took for then, now in zip(before, cpu_s(service.process.pid), strict=True)]
         sent = json.loads(sender.communicate()[0])
         stop.set()
-        time.sleep(0.5)
+        visiting.join()
         accounts = [service.get(f"/api/v1/filters/{f['id']}/health") for f in service.get("/api/v1/filters")["filters"]]
         listener.stdin.write("\n")
         listener.stdin.flush()

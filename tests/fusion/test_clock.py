@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fuselog.fusion.events import Decision, blank_events
@@ -42,7 +42,6 @@ def test_jumps(stamps, expected):
     assert faults(stamps) == bad(expected)
 
 
-@settings(suppress_health_check=[HealthCheck.too_slow])  # it is slow beside other tests, on any seed
 @given(
     st.lists(st.sampled_from([100.0, 101.0, 150.0, 3700.0, 3705.0, 9000.0]), min_size=1, max_size=30),
     st.lists(st.integers(0, 30), max_size=4),

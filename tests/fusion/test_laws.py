@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from tests.fusion.setups import MEASURED, Sample, events_of, setup
 
@@ -14,7 +14,7 @@ from fuselog.fusion.intake import StampOrder
 
 START, MS = 1_000_000_000, 1_000_000
 WINDOW_MS = 200
-LAW = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+LAW = settings(max_examples=60, deadline=None)
 PLANS = {
     model: setup(
         model,

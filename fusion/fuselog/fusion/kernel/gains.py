@@ -18,7 +18,7 @@ from fuselog.fusion.kernel.layout import (
     G,
 )
 from fuselog.fusion.kernel.moments import gather, marks_at, missing
-from fuselog.fusion.kernel.rows import row_scale, row_take
+from fuselog.fusion.kernel.rows import row_copy, row_scale, row_take
 from fuselog.fusion.kernel.tables import History, Tables, Work
 from fuselog.schemas.compiled import inline
 
@@ -81,8 +81,7 @@ def gain(tables: Tables, history: History, work: Work, k: int, sensor: int, m: i
 def take_matrix(tables: Tables, work: Work, m: int, at: int) -> None:
     """G as it is given."""
     for a in range(m):
-        for f in range(N):
-            work.rows[G + a * LD + f] = tables.table[(at * tables.M + work.active[a]) * N + f]
+        row_copy(work.rows, G + a * LD, tables.table, (at * tables.M + work.active[a]) * N, N)
         for f in range(N, LD):
             work.rows[G + a * LD + f] = 0.0
 
