@@ -20,7 +20,6 @@ import struct
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 import urllib.request
 from pathlib import Path
@@ -205,12 +204,14 @@ def cpu_s(pid: int) -> list[float]:
     return [(int(each[11]) + int(each[12])) / os.sysconf("SC_CLK_TCK") for each in fields]
 
 
-async def visit(url: str, requests: float, clients: int, stop: threading.Event, times: list[float]) -> None:
+async def visit(url: str, requests: float, clients: int) -> None:
     """Ask for health so many times a second over eight connections, and read the stream of events over others.
 
-    One thread, and no more of HTTP than it takes: what a visitor spends is not the service's.
+    Ends with standard input. Behind all else that wants a processor: visitors have machines of their own.
     """
+    os.nice(19)
     host, _, port = url.removeprefix("http://").partition(":")
+    times: list[float] = []
 
     async def begin(path: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter, bytes]:
         reader, writer = await asyncio.open_connection(host, int(port))
@@ -238,13 +239,11 @@ async def visit(url: str, requests: float, clients: int, stop: threading.Event, 
     tasks = [asyncio.create_task(read_events()) for _ in range(clients)]
     if requests:
         tasks += [asyncio.create_task(ask(8 / requests)) for _ in range(8)]
-    while not stop.is_set():
-        await asyncio.sleep(0.1)
-        for task in tasks:
-            if task.done():
-                task.result()
-    for task in tasks:
-        task.cancel()
+    end = asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
+    await asyncio.wait([end, *tasks], return_when=asyncio.FIRST_COMPLETED)
+    assert end.done(), "a visitor was turned away"
+    print(json.dumps(times), flush=True)
+    os._exit(0)
 
 
 def load(robots: int, seconds: float, requests: float, clients: int) -> None:
@@ -256,17 +255,15 @@ def load(robots: int, seconds: float, requests: float, clients: int) -> None:
         listener.stdout.readline()
         arguments = ["--robots", str(robots), "--seconds", str(seconds), "--publish"]
         sender = subprocess.Popen([*here, *arguments], stdout=subprocess.PIPE, text=True)
-        stop, times = threading.Event(), list[float]()
-        visiting = threading.Thread(target=lambda: asyncio.run(visit(service.url, requests, clients, stop, times)))
         time.sleep(2.5)
-        visiting.start()
+        visits = ["--visit", service.url, "--requests", str(requests), "--clients", str(clients)]
+        visitor = subprocess.Popen([*here, *visits], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         before, begun = cpu_s(service.process.pid), time.monotonic()
         time.sleep(max(seconds - 3, 1))
         took = time.monotonic() - begun
         cores = [(now - then) / took for then, now in zip(before, cpu_s(service.process.pid), strict=True)]
         sent = json.loads(sender.communicate()[0])
-        stop.set()
-        visiting.join()
+        times = json.loads(visitor.communicate("\n")[0])
         accounts = [service.get(f"/api/v1/filters/{f['id']}/health") for f in service.get("/api/v1/filters")["filters"]]
         listener.stdin.write("\n")
         listener.stdin.flush()
@@ -349,11 +346,14 @@ def main() -> None:
     parser.add_argument("--count", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--publish", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--listen", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--visit", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.publish:
         publish(options.endpoint, options.robots, options.seconds)
     elif options.listen:
         listen(options.endpoint)
+    elif options.visit:
+        asyncio.run(visit(options.visit, options.requests, options.clients))
     elif options.count:
         count(options.endpoint, options.key, options.samples)
     elif options.flood and options.endpoint:
