@@ -30,7 +30,7 @@ SENSORS = {  # numbers, rate in Hz, standard deviation
     "gps": (["x", "y", "z"], 5, 0.5),
 }
 GATE = 0.999
-GOAL_RATIO, GOAL_US = 60, 2.0
+GOAL_RATIO, GOAL_US = 150, 1.0
 FEW = 40  # samples of a turn of numpy
 BATCH = 4096  # as ``fuselog reprocess`` feeds it, which keeps freed memory as well
 
