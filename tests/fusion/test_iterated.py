@@ -1,5 +1,7 @@
 """The iterated filter against the extended one where they must agree, and against the most likely state."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -8,7 +10,7 @@ from tests.fusion.setups import Sample, events_of, make_plan, place_of, put, set
 from tests.fusion.test_inertial import ATTITUDE, State, random_state
 from tests.fusion.test_step import random_samples
 
-from fuselog.fusion import Engine
+from fuselog.fusion import Decision, Engine, load_plan
 
 SECOND = 1_000_000_000
 LINEAR = ("lidar", "speed")
@@ -118,3 +120,43 @@ def test_it_beats_the_extended_filter_from_a_poor_prior() -> None:
     assert errors["iekf"] < 0.5 * errors["ekf"]
     assert 1.5 < nees["iekf"] < 3.0
     assert nees["ekf"] > 10
+
+
+ROOT = """\
+import sympy as sp
+from fuselog.fusion.models import Body, Model, symbol, white_noise
+
+def tank():
+    level = symbol("level")
+    return Model(
+        name="tank",
+        states={"level": "m"},
+        transition={"level": level},
+        noise={"level": 1e-4},
+        covariance=white_noise("level"),
+        body=Body(
+            position=(sp.sqrt(level), 0, 0),
+            velocity=(0, 0, 0),
+            world_from_body=sp.eye(3),
+            twist_linear=(0, 0, 0),
+            twist_angular=(0, 0, 0),
+        ),
+    )
+"""
+
+
+def test_where_h_is_unknown_the_first_turn_stays(tmp_path: Path) -> None:
+    """The first turn leads to a negative level, whose root there is none of: then that turn is the result."""
+    (tmp_path / "tank.py").write_text(ROOT)
+    results = {}
+    for kind in ("ekf", "iekf"):
+        (tmp_path / "fusion.yaml").write_text(
+            f"fuselog: 1\nmodel: tank.py:tank\nfilter: {kind}\n"
+            "initial: {state: {level: 4}, sd: {level: 3}}\nsensors: {flow: {topic: /flow, kind: polar, fuse: [range]}}\n"
+        )
+        plan = load_plan(tmp_path / "fusion.yaml")
+        results[kind] = Engine(plan).advance(events_of(plan, [Sample(SECOND, "flow", [0.2], 0.01)]))
+    assert results["ekf"].x[0, 0] < 0
+    assert results["ekf"].decision[0] == Decision.FUSED
+    for column in ("x", "P", "nis", "innovation", "innovation_variance", "decision"):
+        assert np.array_equal(getattr(results["iekf"], column), getattr(results["ekf"], column)), column

@@ -221,6 +221,24 @@ def test_a_covariance_that_is_none_begins_anew() -> None:
     assert kernel_of(plan).N == 5
 
 
+def test_what_the_sample_before_left_makes_no_difference() -> None:
+    """A sample that overflows, then one at the same time that meets a P that is none."""
+    plan = setup("unicycle", filter="ukf")
+    engine, x = Engine(plan), np.array([1.0, 2.0, 0.3, 1.0, 0.0])
+    places = [[1.0, 2.0], [-1.7e308, 2.0], [1.1, 2.0]]
+    events = events_of(plan, [Sample(SECOND, "gps", place, 0.01 * np.eye(2)) for place in places])
+    engine.advance(events.take(slice(0, 1)))
+    put(engine, x + [1e308, 0, 0, 0, 0], np.eye(5), t_ns=SECOND)
+    track = engine.advance(events.take(slice(1, 2)))
+    assert Decision(track.decision[0]) == Decision.INVALID_NAN
+    broken = np.eye(5)
+    broken[0, 1] = broken[1, 0] = 1.5
+    put(engine, x, broken, t_ns=SECOND)
+    track = engine.advance(events.take(slice(2, 3)))
+    assert Decision(track.decision[0]) == Decision.INVALID_COVARIANCE
+    assert engine.estimate.resets == 1
+
+
 @pytest.mark.parametrize("kind", ["ukf", "iekf"])
 def test_only_with_the_optimal_gain(kind: str) -> None:
     gain = {"mode": "fixed", "weights": {"compass.yaw": 0.5}}

@@ -23,7 +23,10 @@ ROTATION = -1  # where roll, pitch, yaw stand when they are kept as a quaternion
 
 
 def predict(s: Floats, a: int, b: int, dt: float, q: Floats, w: Floats) -> None:
-    """State row b from row a after dt: x = f(x, u, dt), P = F P F' + Q. w is scratch of 2 LD LD numbers."""
+    """State row b from row a after dt: x = f(x, u, dt), P = F P F' + Q. w is scratch of 2 LD LD numbers.
+
+    P is symmetric but for rounding.
+    """
 
 
 def move(s: Floats, a: int, b: int, dt: float, q: Floats) -> None:

@@ -9,13 +9,12 @@ subexpressions shared and zeros left out.
 # pyright: reportUnknownParameterType=false, reportArgumentType=false, reportMissingTypeArgument=false
 # pyright: reportUnknownLambdaType=false, reportConstantRedefinition=false, reportReturnType=false
 
-import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import sympy as sp
-from sympy.printing.pycode import PythonCodePrinter
 
+from fuselog.fusion.kernel.printing import assignments, needed, text, tuple_text, word
 from fuselog.fusion.models.model import (
     DT,
     QUATERNION,
@@ -31,33 +30,6 @@ from fuselog.fusion.models.model import (
 from fuselog.fusion.models.quantities import SAMPLE, SENSOR, combination_factors, is_factor
 
 MULTIPLE = 4  # rows of P are padded to a multiple of this many numbers
-
-
-class _Printer(PythonCodePrinter):
-    """Python text that numba compiles: functions by their bare names, as the kernel module imports them."""
-
-    def _print_Function(self, expr: sp.Function) -> str:  # noqa: N802  the name is SymPy's protocol
-        arguments = ", ".join(self._print(argument) for argument in expr.args)
-        return f"{type(expr).__name__.lower()}({arguments})"
-
-    def _print_Symbol(self, expr: sp.Symbol) -> str:  # noqa: N802  the same
-        return _word(expr.name)
-
-    _print_sinc = _print_dsinc = _print_sin = _print_cos = _print_tan = _print_asin = _print_atan2 = _print_Function
-
-    def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:  # noqa: N802, ARG002  SymPy's protocol
-        base, exponent = expr.as_base_exp()
-        twice = 2 * exponent
-        if not twice.is_Integer or abs(int(twice)) > 8:
-            return f"({self._print(base)}) ** ({self._print(exponent)})"
-        whole, half = divmod(abs(int(twice)), 2)
-        power = " * ".join([f"({self._print(base)})"] * whole + [f"sqrt({self._print(base)})"] * half)
-        return f"({power})" if twice > 0 else f"(1.0 / ({power}))"
-
-
-def _word(name: str) -> str:
-    """A name as Python takes it: what is no letter, digit or underscore by its code."""
-    return re.sub(r"\W", lambda match: f"_{ord(match[0]):x}_", name)
 
 
 def generate(model: Model, measured: Mapping[str, Expr]) -> str:
@@ -79,15 +51,15 @@ def generate(model: Model, measured: Mapping[str, Expr]) -> str:
         f"LIMITS = np.array([{', '.join(_limit(model, name) for name in model.names)}])",
         f"ROTATION = {model.names.index(ROTATION[0]) if model.rotation else -1}  # where roll, pitch, yaw stand",
     ]
-    texts = None if model.by_matrices else _texts(model)
-    moves = [] if texts is None else _moves(model, texts)
-    if texts is not None:
+    parts = [_inject(model), _observe(model, measured)]
+    if not model.by_matrices:
+        texts = _texts(model)
         head += [
             f"FORTH = congruence({_sparse(texts.F, n)})  # F P F'",
             f"BACK = congruence({_sparse([(j, i) for i, j in texts.F], n)})  # F' P F",
             f"NOISE = increase({_noisy(texts.Q, n)})  # P + Q",
         ]
-    parts = [*moves, _inject(model), _observe(model, measured)]
+        parts = [*_moves(model, texts), *parts]
     return "\n".join([*head, *(line for part in parts for line in ("", "", *part)), ""])
 
 
@@ -96,7 +68,7 @@ def _limit(model: Model, name: str) -> str:
 
 
 def _shown(name: str) -> str:
-    return name if name.isprintable() else _word(name)
+    return name if name.isprintable() else word(name)
 
 
 def _padded(n: int) -> int:
@@ -210,18 +182,18 @@ def _texts(model: Model) -> _Texts:
     moved = dict(zip(motion.moved, results, strict=False))
     jacobian, noise = results[len(moved) : len(moved) + len(off)], results[len(moved) + len(off) :]
     head = [
-        *(f"    {_word(f'x_{name}')} = s[a + {i}]" for i, name in enumerate(map(str, _stored(model)))),
+        *(f"    {word(f'x_{name}')} = s[a + {i}]" for i, name in enumerate(map(str, _stored(model)))),
         *(f"    u_{name} = s[b + INPUT + {i}]" for i, name in enumerate(model.inputs)),
         *(f"    U_{name} = s[b + INPUT + U + {i}]" for i, name in enumerate(model.inputs)),
-        *(f"    {_word(f'q_{name}')} = q[{i}]" for i, name in enumerate(model.noise)),
+        *(f"    {word(f'q_{name}')} = q[{i}]" for i, name in enumerate(model.noise)),
         *(f"    p_{name} = q[{len(model.noise) + i}]" for i, name in enumerate(model.parameters)),
-        *(f"    {line}" for line in _assign(shared)),
+        *(f"    {line}" for line in assignments(shared)),
     ]
     return _Texts(
         head,
-        {name: _text(value) for name, value in moved.items()},
-        {place: _text(value) for place, value in zip(off, jacobian, strict=True)},
-        {place: _text(value) for place, value in zip(Q, noise, strict=True)},
+        {name: text(value) for name, value in moved.items()},
+        {place: text(value) for place, value in zip(off, jacobian, strict=True)},
+        {place: text(value) for place, value in zip(Q, noise, strict=True)},
     )
 
 
@@ -240,11 +212,11 @@ def _predict(model: Model, texts: _Texts) -> list[str]:
         '    """',
         *texts.head,
         *(f"    F_{i}_{j} = {value}" for (i, j), value in texts.F.items()),
-        f"    FORTH(s, b + COVARIANCE, s, a + COVARIANCE, w, {_tuple(_entries(off, n))}, LD)",
+        f"    FORTH(s, b + COVARIANCE, s, a + COVARIANCE, w, {tuple_text(_entries(off, n))}, LD)",
         *_add_noise(texts.Q, n),
         *_arrive(model, texts),
     ]
-    return _used(body)
+    return needed(body)
 
 
 def _move(model: Model, texts: _Texts) -> list[str]:
@@ -254,7 +226,7 @@ def _move(model: Model, texts: _Texts) -> list[str]:
         *texts.head,
         *_arrive(model, texts),
     ]
-    return _used(body)
+    return needed(body)
 
 
 def _arrive(model: Model, texts: _Texts) -> list[str]:
@@ -278,14 +250,14 @@ def _disturb(texts: _Texts) -> list[str]:
         *texts.head,
         *(f"    s[b + COVARIANCE + {i} * LD + {j}] += {value}" for (i, j), value in texts.Q.items()),
     ]
-    return _used(body)
+    return needed(body)
 
 
 def _add_noise(Q: Mapping[tuple[int, int], str], n: int) -> list[str]:
     """P += Q."""
     lines = [f"    Q_{i}_{j} = {value}" for (i, j), value in Q.items()]
     numbers = [f"Q_{min(i, j)}_{max(i, j)}" for i, columns in enumerate(_noisy(Q, n)) for j in columns]
-    return [*lines, f"    NOISE(s, b + COVARIANCE, {_tuple(numbers)}, LD)"] if Q else []
+    return [*lines, f"    NOISE(s, b + COVARIANCE, {tuple_text(numbers)}, LD)"] if Q else []
 
 
 def _noisy(Q: Iterable[tuple[int, int]], n: int) -> list[list[int]]:
@@ -305,10 +277,6 @@ def _entries(off: Mapping[tuple[int, int], str], n: int) -> list[str]:
     return [off.get((i, j), "1.0") for i, columns in enumerate(_sparse(off, n)) for j in columns]
 
 
-def _tuple(values: Iterable[str]) -> str:
-    return f"({''.join(f'{value}, ' for value in values)})"
-
-
 def _linearise(texts: _Texts) -> list[str]:
     body = [
         "def linearise(s, a, b, dt, q, F, Q):",
@@ -318,7 +286,7 @@ def _linearise(texts: _Texts) -> list[str]:
         *(f"    Q[{i} * N + {j}] = {value}" for (i, j), value in texts.Q.items()),
         *(f"    Q[{j} * N + {i}] = Q[{i} * N + {j}]" for i, j in texts.Q if i != j),
     ]
-    return _used(body)
+    return needed(body)
 
 
 def _adjoin(model: Model, texts: _Texts) -> list[str]:
@@ -333,7 +301,7 @@ def _adjoin(model: Model, texts: _Texts) -> list[str]:
         '    """',
         *texts.head,
         *(f"    F_{i}_{j} = {value}" for (i, j), value in texts.F.items()),
-        f"    BACK(w, 2 * LD * LD, A, 0, w, {_tuple(_entries(turned, n))}, LD)",
+        f"    BACK(w, 2 * LD * LD, A, 0, w, {tuple_text(_entries(turned, n))}, LD)",
         "    for i in range(LD):",
         "        row_copy(A, i * LD, w, (2 * LD + i) * LD, LD)",
         "    mirror(A, 0, LD)",
@@ -343,7 +311,7 @@ def _adjoin(model: Model, texts: _Texts) -> list[str]:
         ),
         *(f"    A[LD * LD + {i}] = l_{i}" for i in rows),
     ]
-    return _used(body)
+    return needed(body)
 
 
 def _inject(model: Model) -> list[str]:
@@ -393,16 +361,16 @@ def _observe(model: Model, measured: Mapping[str, Expr]) -> list[str]:
         used = {str(s) for part in (expression, *slopes.values()) for s in part.free_symbols}
         lines += [
             f"    if row == {number}:",
-            *(f"        {_word(f'x_{n}')} = s[a + {i}]" for i, n in enumerate(map(str, _stored(model))) if n in used),
+            *(f"        {word(f'x_{n}')} = s[a + {i}]" for i, n in enumerate(map(str, _stored(model))) if n in used),
             *(f"        u_{name} = s[a + INPUT + {i}]" for i, name in enumerate(model.inputs) if name in used),
             *(f"        p_{n} = q[{len(model.noise) + i}]" for i, n in enumerate(model.parameters) if n in used),
             *(f"        {_local(f)} = q[{at}]" for f, at in place.items() if str(f) in used),
             *(f"        {s} = par[p + {i}]" for i, s in enumerate(SENSOR) if str(s) in used),
             *(f"        {s} = z[za + {i}]" for i, s in enumerate(SAMPLE) if str(s) in used),
-            *(f"        {line}" for line in _assign(shared)),
+            *(f"        {line}" for line in assignments(shared)),
             *(f"        hi[k + {i}] = {index[name]}" for i, name in enumerate(slopes)),
-            *(f"        hv[k + {i}] = {_text(slope)}" for i, slope in enumerate(rest)),
-            f"        return {_text(value)}, {len(slopes)}",
+            *(f"        hv[k + {i}] = {text(slope)}" for i, slope in enumerate(rest)),
+            f"        return {text(value)}, {len(slopes)}",
         ]
     return [*lines, "    return 0.0, 0"]
 
@@ -431,36 +399,3 @@ def _share(model: Model, entries: list[Expr]) -> tuple[list[tuple[sp.Symbol, Exp
     local |= {s: sp.Symbol(_local(s), real=True) for entry in entries for s in entry.free_symbols if is_factor(s)}
     shared, rest = sp.cse([entry.xreplace(local) for entry in entries], sp.numbered_symbols("t"))
     return shared, [sp.sympify(entry) for entry in rest]
-
-
-def _assign(shared: Sequence[tuple[sp.Symbol, Expr]]) -> Iterator[str]:
-    """Lines that give common subexpressions their names; sine and cosine of the same angle together."""
-    names, given = {value: name for name, value in shared}, set[sp.Symbol]()
-    for name, value in shared:
-        turns = value.func in (sp.sin, sp.cos)
-        sine, cosine = (names.get(function(*value.args)) if turns else None for function in (sp.sin, sp.cos))
-        if sine is None or cosine is None:
-            yield f"{name} = {_text(value)}"
-        elif name not in given:
-            yield f"{sine}, {cosine} = sin_cos({_text(value.args[0])})"
-            given |= {sine, cosine}
-
-
-def _used(lines: Sequence[str]) -> list[str]:
-    """The lines without assignments of plain names that no later line reads."""
-    kept, read = list[str](), set[str]()
-    for line in reversed(lines):
-        name, assigns, _ = line.strip().partition(" = ")
-        names = name.split(", ")
-        if not assigns or not all(map(str.isidentifier, names)) or read & {*names}:
-            kept.append(line)
-            read |= _words(line)
-    return kept[::-1]
-
-
-def _words(text: str) -> set[str]:
-    return set("".join(c if c.isalnum() or c == "_" else " " for c in text).split())
-
-
-def _text(expression: Expr) -> str:
-    return str(_Printer({"fully_qualified_modules": False}).doprint(expression))

@@ -1,9 +1,9 @@
 """What a gain makes of a state and its covariance; compiled with ``step``."""
 
 from fuselog.fusion.kernel.blank import LD, WIDTH, N, inject
-from fuselog.fusion.kernel.gains import policy, scale_apart
+from fuselog.fusion.kernel.gains import is_short, scale_apart
 from fuselog.fusion.kernel.innovation import project
-from fuselog.fusion.kernel.layout import APART, COVARIANCE, DELTA, HP, JOSEPH, OPTIMAL, ROW, G
+from fuselog.fusion.kernel.layout import APART, COVARIANCE, DELTA, HP, JOSEPH, ROW, G
 from fuselog.fusion.kernel.rows import row_add, row_gather, row_scale
 from fuselog.fusion.kernel.squares import take_outer
 from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
@@ -17,12 +17,6 @@ def update(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
     inject(history.state, k * ROW, work.rows, DELTA)
     if tables.covariance:
         shrink(tables, history, work, k, sensor, m)
-
-
-@inline
-def is_short(tables: Tables, history: History, work: Work, k: int, sensor: int) -> bool:
-    """Whether the gain is the optimal one, and its short form will do: that needs no G."""
-    return tables.covariance != 0 and policy(tables, history, k, sensor) == OPTIMAL and bool(work.modest[0])
 
 
 @inline

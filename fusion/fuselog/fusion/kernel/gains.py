@@ -52,13 +52,19 @@ def has_vote(tables: Tables, history: History, work: Work, k: int, sensor: int) 
 
 
 @inline
+def is_short(tables: Tables, history: History, work: Work, k: int, sensor: int) -> bool:
+    """Whether the gain is the optimal one, and its short form will do: that needs no G."""
+    return tables.covariance != 0 and policy(tables, history, k, sensor) == OPTIMAL and bool(work.modest[0])
+
+
+@inline
 def gain(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
     """The rows of G', by the sensor's policy; false where a fixed share cannot be formed.
 
     In the short form they are not needed.
     """
     how, M = policy(tables, history, k, sensor), tables.M
-    if how == OPTIMAL and work.modest[0]:
+    if is_short(tables, history, work, k, sensor):
         return True
     if how == MATRIX:
         take_matrix(tables, work, m, variant(tables, history, k, sensor))

@@ -11,8 +11,8 @@ until d no longer changes. P is Joseph's of the last H and G. Gate and NIS are t
 import math
 
 from fuselog.fusion.kernel.blank import LD, ROTATION, WIDTH, N, X, inject, predict
-from fuselog.fusion.kernel.correction import add_up, is_short, shrink
-from fuselog.fusion.kernel.gains import solve
+from fuselog.fusion.kernel.correction import add_up, shrink
+from fuselog.fusion.kernel.gains import is_short, solve
 from fuselog.fusion.kernel.innovation import innovate, measure, note_variances, weigh
 from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, ROW, SCRATCH
 from fuselog.fusion.kernel.rotations import right_jacobian

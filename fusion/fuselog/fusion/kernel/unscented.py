@@ -36,7 +36,10 @@ ROOM = MEASURED + (POINTS + 1) * MOST  # numbers of Work.rows
 
 @inline
 def forecast(tables: Tables, history: History, work: Work, k: int, dt: float) -> bool:
-    """x and P of entry k from those of entry k - 1, dt (s) before; false where P is no covariance."""
+    """x and P (on and above the diagonal) of entry k from those of entry k - 1, dt (s) before.
+
+    False where P is no covariance.
+    """
     s, w, a, b = history.state, work.rows, (k - 1) * ROW, k * ROW
     if not root(s, a + COVARIANCE, w):
         return False
@@ -70,6 +73,7 @@ def compare(tables: Tables, history: History, work: Work, k: int, sensor: int, m
     That is -1 where P or S is no covariance.
     """
     s, w, b, M, rows = history.state, work.rows, k * ROW, tables.M, tables.rows[sensor]
+    clear(work.nu, 0, m)
     if not root(s, b + COVARIANCE, w):
         return -1.0
     row_copy(w, POINT, s, b, X)
