@@ -152,7 +152,8 @@ def test_where_h_is_unknown_the_first_turn_stays(tmp_path: Path) -> None:
     for kind in ("ekf", "iekf"):
         (tmp_path / "fusion.yaml").write_text(
             f"fuselog: 1\nmodel: tank.py:tank\nfilter: {kind}\n"
-            "initial: {state: {level: 4}, sd: {level: 3}}\nsensors: {flow: {topic: /flow, kind: polar, fuse: [range]}}\n"
+            "initial: {state: {level: 4}, sd: {level: 3}}\n"
+            "sensors: {flow: {topic: /flow, kind: polar, fuse: [range]}}\n"
         )
         plan = load_plan(tmp_path / "fusion.yaml")
         results[kind] = Engine(plan).advance(events_of(plan, [Sample(SECOND, "flow", [0.2], 0.01)]))

@@ -228,7 +228,7 @@ def test_what_the_sample_before_left_makes_no_difference() -> None:
     places = [[1.0, 2.0], [-1.7e308, 2.0], [1.1, 2.0]]
     events = events_of(plan, [Sample(SECOND, "gps", place, 0.01 * np.eye(2)) for place in places])
     engine.advance(events.take(slice(0, 1)))
-    put(engine, x + [1e308, 0, 0, 0, 0], np.eye(5), t_ns=SECOND)
+    put(engine, x * [1e308, 1, 1, 1, 1], np.eye(5), t_ns=SECOND)
     track = engine.advance(events.take(slice(1, 2)))
     assert Decision(track.decision[0]) == Decision.INVALID_NAN
     broken = np.eye(5)
