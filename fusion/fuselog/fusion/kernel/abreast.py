@@ -1,10 +1,11 @@
 """A step of several filters at once, or of one after the other where they part; compiled with ``step``."""
 
+from fuselog.fusion.kernel.blank import M
 from fuselog.fusion.kernel.fields import held_record_at
 from fuselog.fusion.kernel.lanes import LANES, disagreements, give_lane, take_lane
-from fuselog.fusion.kernel.layout import MARKS, ROW, SENSOR_MARKS
+from fuselog.fusion.kernel.layout import MARKED, ROW, SAMPLE
 from fuselog.fusion.kernel.step import step
-from fuselog.fusion.kernel.tables import SAMPLE_WIDTH, History, Tables, Work
+from fuselog.fusion.kernel.tables import History, Tables, Work
 from fuselog.schemas.compiled import inline
 
 
@@ -34,12 +35,9 @@ def take_out(tables: Tables, history: History, single: History, lane: int) -> No
     for k in range(head, tail + 1):
         single.t[k], single.sensor[k], single.seq[k] = history.t[k], history.sensor[k], history.seq[k]
     take_lane(single.decision, history.decision, head, entries, lane)
-    width = tables.M + SAMPLE_WIDTH
-    take_lane(single.z, history.z, head * width, entries * width, lane)
-    width = tables.M * tables.M
-    take_lane(single.R, history.R, head * width, entries * width, lane)
-    width = MARKS + tables.S * SENSOR_MARKS
-    take_lane(single.marks, history.marks, head * width, entries * width, lane)
+    take_lane(single.z, history.z, head * SAMPLE, entries * SAMPLE, lane)
+    take_lane(single.R, history.R, head * M * M, entries * M * M, lane)
+    take_lane(single.marks, history.marks, head * MARKED, entries * MARKED, lane)
     take_lane(single.learned, history.learned, head * tables.learned, entries * tables.learned, lane)
     take_lane(single.state, history.state, head * ROW, entries * ROW, lane)
 
@@ -47,9 +45,8 @@ def take_out(tables: Tables, history: History, single: History, lane: int) -> No
 @inline
 def put_back(tables: Tables, history: History, single: History, k: int, lane: int) -> None:
     """What became of entry k of one filter."""
-    M, width = tables.M, MARKS + tables.S * SENSOR_MARKS
     give_lane(history.decision, single.decision, k, 1, lane)
-    give_lane(history.marks, single.marks, k * width, width, lane)
+    give_lane(history.marks, single.marks, k * MARKED, MARKED, lane)
     give_lane(history.learned, single.learned, k * tables.learned, tables.learned, lane)
     give_lane(history.state, single.state, k * ROW, ROW, lane)
     give_lane(history.nis, single.nis, k, 1, lane)

@@ -3,7 +3,7 @@
 import math
 
 from fuselog.fusion.kernel.alone import make
-from fuselog.fusion.kernel.blank import LD, N
+from fuselog.fusion.kernel.blank import LD, M, N
 from fuselog.fusion.kernel.fields import record_at
 from fuselog.fusion.kernel.lanes import everywhere, tally, where
 from fuselog.fusion.kernel.layout import (
@@ -13,19 +13,21 @@ from fuselog.fusion.kernel.layout import (
     FUSED,
     KNOWN,
     LATE,
-    MARKS,
+    MARKED,
     MEASURES,
     PACKED,
     ROW,
-    SENSOR_MARKS,
+    SAMPLE,
     UNDECIDED,
+    rows_of,
 )
-from fuselog.fusion.kernel.moments import marks_at, moment
-from fuselog.fusion.kernel.rows import row_copy
+from fuselog.fusion.kernel.moments import moment
+from fuselog.fusion.kernel.rows import row_copy, row_fill
+from fuselog.fusion.kernel.seeding import all_known
 from fuselog.fusion.kernel.soundness import conclude
 from fuselog.fusion.kernel.squares import pack_upper
 from fuselog.fusion.kernel.step import carry
-from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Rows, Samples, Tables, Work
+from fuselog.fusion.kernel.tables import DECISIONS, NEVER, History, Rows, Samples, Tables, Work
 from fuselog.schemas.compiled import inline, kernel
 
 
@@ -93,7 +95,7 @@ def make_room(tables: Tables, history: History) -> bool:
     if head < history.capacity * 3 // 4:
         return False
     for k in range(head, tail + 1):
-        move_sample(tables, history, k, k - head)
+        move_sample(history, k, k - head)
         move_result(tables, history, k, k - head)
     history.cursor[0], history.cursor[1] = 0, tail - head
     return True
@@ -129,13 +131,12 @@ def after(history: History, k: int, t: int, sensor: int, seq: int) -> bool:
 @inline
 def same(tables: Tables, history: History, k: int, events: Samples, e: int) -> bool:
     """Whether entry k holds the same numbers, and the same covariance, as sample e."""
-    width = tables.M + SAMPLE_WIDTH
     equal = True
-    for i in range(width):
-        equal &= history.z[k * width + i] == events.z[e * width + i]
-    rows = tables.rows[events.sensor[e]]
+    for i in range(SAMPLE):
+        equal &= history.z[k * SAMPLE + i] == events.z[e * SAMPLE + i]
+    rows = rows_of(tables, events.sensor[e]) if tables.covariance else 0
     for i in range(rows * rows):
-        equal &= history.R[k * tables.M * tables.M + i] == events.R[e * tables.M * tables.M + i]
+        equal &= history.R[k * M * M + i] == events.R[e * M * M + i]
     return equal
 
 
@@ -143,14 +144,13 @@ def same(tables: Tables, history: History, k: int, events: Samples, e: int) -> b
 def insert(tables: Tables, history: History, events: Samples, e: int, at: int) -> None:
     """Put sample e into entry ``at``; what came after it moves up by one, to be replayed."""
     for k in range(history.cursor[1], at - 1, -1):
-        move_sample(tables, history, k, k + 1)
+        move_sample(history, k, k + 1)
     history.t[at], history.sensor[at], history.seq[at] = events.t_ns[e], events.sensor[e], events.seq[e]
     history.decision[at] = UNDECIDED
-    width, square = tables.M + SAMPLE_WIDTH, tables.M * tables.M
-    for i in range(width):
-        history.z[at * width + i] = events.z[e * width + i]
-    for i in range(tables.rows[events.sensor[e]] ** 2):
-        history.R[at * square + i] = events.R[e * square + i]
+    row_copy(history.z, at * SAMPLE, events.z, e * SAMPLE, SAMPLE)
+    if tables.covariance:
+        for i in range(rows_of(tables, events.sensor[e]) ** 2):
+            history.R[at * M * M + i] = events.R[e * M * M + i]
     history.cursor[1] += 1
     history.cursor[2] = max(history.cursor[2], events.t_ns[e])
 
@@ -185,15 +185,13 @@ def forget(tables: Tables, history: History) -> None:
 
 
 @inline
-def move_sample(tables: Tables, history: History, k: int, to: int) -> None:
+def move_sample(history: History, k: int, to: int) -> None:
     """Copy the sample of entry k, and what became of it, to entry ``to``."""
     history.t[to], history.sensor[to], history.seq[to] = history.t[k], history.sensor[k], history.seq[k]
     history.decision[to] = history.decision[k]
-    width, square = tables.M + SAMPLE_WIDTH, tables.M * tables.M
-    for i in range(width):
-        history.z[to * width + i] = history.z[k * width + i]
-    for i in range(square):
-        history.R[to * square + i] = history.R[k * square + i]
+    row_copy(history.z, to * SAMPLE, history.z, k * SAMPLE, SAMPLE)
+    for i in range(M * M):
+        history.R[to * M * M + i] = history.R[k * M * M + i]
 
 
 @inline
@@ -202,36 +200,33 @@ def move_result(tables: Tables, history: History, k: int, to: int) -> None:
     history.nis[to], history.dof[to] = history.nis[k], history.dof[k]
     for i in range(ROW):
         history.state[to * ROW + i] = history.state[k * ROW + i]
-    width = MARKS + tables.S * SENSOR_MARKS
-    for i in range(width):
-        history.marks[to * width + i] = history.marks[k * width + i]
+    for i in range(MARKED):
+        history.marks[to * MARKED + i] = history.marks[k * MARKED + i]
     for i in range(tables.learned):
         history.learned[to * tables.learned + i] = history.learned[k * tables.learned + i]
-    for i in range(tables.M):
-        history.nu[to * tables.M + i] = history.nu[k * tables.M + i]
-        history.S[to * tables.M + i] = history.S[k * tables.M + i]
-        history.absorbed[to * tables.M + i] = history.absorbed[k * tables.M + i]
+    row_copy(history.nu, to * M, history.nu, k * M, M)
+    row_copy(history.S, to * M, history.S, k * M, M)
+    row_copy(history.absorbed, to * M, history.absorbed, k * M, M)
 
 
 @inline
 def write(tables: Tables, history: History, at: int, decision: int, rows: Rows, e: int) -> None:
     """Row e of the output: the newest state, and what became of this sample (entry ``at``, if it has one)."""
-    M, s, b = tables.M, history.state, history.cursor[1] * ROW
-    rows.t_ns[e], rows.decision[e] = history.marks[marks_at(tables, history.cursor[1]) + AT], decision
-    row_copy(rows.x, e * N, s, b, LD)
-    for i in range(N):
-        known = s[b + KNOWN + i] != 0.0
-        if not everywhere(known):
-            rows.x[e * N + i] = where(known, rows.x[e * N + i], math.nan)
+    s, b = history.state, history.cursor[1] * ROW
+    rows.t_ns[e], rows.decision[e] = history.marks[history.cursor[1] * MARKED + AT], decision
+    row_copy(rows.x, e * N, s, b, N)
+    if not everywhere(all_known(history, history.cursor[1])):
+        for i in range(N):
+            rows.x[e * N + i] = where(s[b + KNOWN + i] != 0.0, s[b + i], math.nan)
     if tables.covariance:
         pack_upper(rows.P, e * PACKED, s, b + COVARIANCE, N, LD)
     if at < 0:
         rows.nis[e], rows.dof[e] = math.nan, 0
-        for i in range(e * M, (e + 1) * M):
-            rows.nu[i] = rows.S[i] = rows.absorbed[i] = math.nan
+        row_fill(rows.nu, e * M, math.nan, M)
+        row_fill(rows.S, e * M, math.nan, M)
+        row_fill(rows.absorbed, e * M, math.nan, M)
         return
     rows.nis[e], rows.dof[e] = history.nis[at], history.dof[at]
-    for i in range(M):
-        rows.nu[e * M + i] = history.nu[at * M + i]
-        rows.S[e * M + i] = history.S[at * M + i]
-        rows.absorbed[e * M + i] = history.absorbed[at * M + i]
+    row_copy(rows.nu, e * M, history.nu, at * M, M)
+    row_copy(rows.S, e * M, history.S, at * M, M)
+    row_copy(rows.absorbed, e * M, history.absorbed, at * M, M)

@@ -16,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 
 from fuselog.fusion.kernel.declared import Declaration
+from fuselog.fusion.kernel.fit import Fit
 from fuselog.fusion.kernel.inlining import write_out
 from fuselog.fusion.kernel.small import SMALL
 from fuselog.schemas.errors import FuselogError
@@ -24,15 +25,17 @@ _HERE = Path(__file__).parent
 _HELD = "import record_at\n", "import held_record_at as record_at\n"  # for models that are not small
 _LANES = "import record_at\n", "import lanes_at as record_at\n"  # for several filters
 # the texts that are compiled together with a generated model, as one module that takes the model's names
-_BEFORE = ("layout", "innovation", "moments", "seeding", "gains", "correction", "soundness")
+_BEFORE = ("layout", "innovation", "moments", "seeding", "correction", "soundness")
 _FILTERS = {"ekf": "extended", "iekf": "iterated", "ukf": "unscented"}  # of which one comes between
-_CAREFUL, _PLAIN = ("robust", "standstill"), ("plain",)  # the first where a sensor needs them, as they take time
+# parts and, where nothing needs them, what is in their place, as they take time
+_CAREFUL, _PLAIN = ("robust", "standstill"), ("plain",)
+_WEIGHED, _OPTIMAL = ("schedule", "gains"), ("optimal",)
 _AFTER = ("step", "alone", "advance", "linear", "smooth")
 _ABREAST = ("step", "abreast", "advance")  # instead, in a kernel that moves several filters
 _SOURCES = (_HERE, _HERE.parent / "models")  # what a kernel is made of
 _OWN = {
     f"fuselog.fusion.kernel.{n}"
-    for n in ("blank", *_BEFORE, *_FILTERS.values(), *_CAREFUL, *_PLAIN, *_AFTER, *_ABREAST)
+    for n in ("blank", *_BEFORE, *_FILTERS.values(), *_CAREFUL, *_PLAIN, *_WEIGHED, *_OPTIMAL, *_AFTER, *_ABREAST)
 }
 _HEAD = '''"""Made by fuselog from the model {name}; delete freely."""
 
@@ -114,14 +117,14 @@ def model_card(declared: Declaration) -> ModelCard:
 
 
 def kernel_module(
-    declared: Declaration, measured: Sequence[str], kind: str = "ekf", *, careful: bool = False, abreast: bool = False
+    declared: Declaration, measured: Sequence[str], kind: str, fit: Fit, *, abreast: bool = False
 ) -> ModuleType:
     """The module with ``advance`` for a model, what its sensors measure, in this order, and the kind of filter.
 
-    ``careful``: for sensors that need more than a gate, see ``Care``. ``abreast``: it moves ``LANES`` filters at once.
+    ``abreast``: it moves ``LANES`` filters at once.
     """
-    mode = ("careful" if careful else "plain") + ("-abreast" if abreast else "")
-    path = cache_folder() / _key(declared, *measured, kind, mode) / f"{declared.function}.py"
+    key = _key(declared, *measured, kind, repr(fit), "abreast" if abreast else "alone")
+    path = cache_folder() / key / f"{declared.function}.py"
     if not path.is_file():
         from fuselog.fusion.kernel.codegen import generate  # noqa: PLC0415  SymPy takes seconds; only on a cache miss
         from fuselog.fusion.models.quantities import combination, is_combination, measurable  # noqa: PLC0415  the same
@@ -129,15 +132,15 @@ def kernel_module(
         model = declared.declare()
         available = measurable(model)
         generated = generate(model, {q: combination(q) if is_combination(q) else available[q] for q in measured})
-        texts = ("matrices",) if model.by_matrices else ()
         texts = (
-            *texts,
+            *(("matrices",) if model.by_matrices else ()),
             *_BEFORE,
+            *(_WEIGHED if fit.weighed else _OPTIMAL),
             _FILTERS[kind],
-            *(_CAREFUL if careful else _PLAIN),
+            *(_CAREFUL if fit.careful else _PLAIN),
             *(_ABREAST if abreast else _AFTER),
         )
-        text = _HEAD.format(name=model.name) + _decorate(generated) + _join(texts)
+        text = _HEAD.format(name=model.name) + fit.text + _decorate(generated) + _join(texts)
         small = len(model.states) <= SMALL
         if abreast:
             text = text.replace(*_LANES)

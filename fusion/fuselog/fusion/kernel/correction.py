@@ -1,9 +1,9 @@
 """What a gain makes of a state and its covariance; compiled with ``step``."""
 
-from fuselog.fusion.kernel.blank import LD, WIDTH, N, inject
-from fuselog.fusion.kernel.gains import is_short, scale_apart
-from fuselog.fusion.kernel.innovation import project
-from fuselog.fusion.kernel.layout import APART, COVARIANCE, DELTA, HP, JOSEPH, ROW, G
+from fuselog.fusion.kernel.blank import LD, WIDTH, M, N, inject
+from fuselog.fusion.kernel.gains import is_short
+from fuselog.fusion.kernel.innovation import project, scale_apart
+from fuselog.fusion.kernel.layout import APART, COVARIANCE, DELTA, HP, JOSEPH, ROW, G, rows_of
 from fuselog.fusion.kernel.rows import row_add, row_gather, row_scale
 from fuselog.fusion.kernel.squares import take_outer
 from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
@@ -37,9 +37,9 @@ def shrink(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
     if is_short(tables, history, work, k, sensor):
         take_outer(s, P, w, G, w, APART, m, N, LD, True)
         for a in range(m):  # G = P H' R^-1 of the new P
-            own = history.R[k * tables.M * tables.M + work.active[a] * (tables.rows[sensor] + 1)]
+            own = history.R[k * M * M + work.active[a] * (rows_of(tables, sensor) + 1)]
             variance = variance_of(work, s, P, a)
-            history.absorbed[k * tables.M + work.active[a]] = variance / (work.factor[0] * own)
+            history.absorbed[k * M + work.active[a]] = variance / (work.factor[0] * own)
     else:
         joseph(tables, history, work, k, sensor, m)
 
@@ -58,8 +58,8 @@ def variance_of(work: Work, P_of: Floats, P: int, a: int) -> float:
 @inline
 def joseph(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
     """Joseph's P, in two passes that end above the diagonal: T = ((I - G H) P)', P = T' - (T' H' - G R) G'."""
-    s, w, M = history.state, work.rows, tables.M
-    rows, P = tables.rows[sensor], k * ROW + COVARIANCE
+    s, w = history.state, work.rows
+    rows, P = rows_of(tables, sensor), k * ROW + COVARIANCE
     if tables.scaled:  # H P was made of the scales
         project(work, s, P, m)
     take_outer(s, P, w, HP, w, G, m, N, LD, False)

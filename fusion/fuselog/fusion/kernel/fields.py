@@ -82,8 +82,13 @@ def _dtypes(kind: type[NamedTuple]) -> tuple[np.dtype[Any], ...]:
 @cache
 def own_of(kind: type[NamedTuple]) -> tuple[bool, ...]:
     """Which fields of a record are each filter's own where several are moved together."""
+    return tuple(np.float64 in marks or "own" in marks for marks in _marks(kind))
+
+
+def _marks(kind: type[NamedTuple]) -> list[tuple[Any, ...]]:
+    """What is said of each field besides that it is an array."""
     hints = get_type_hints(kind, include_extras=True)
-    return tuple(np.float64 in (of := get_args(hints[name])[1:]) or "own" in of for name in kind._fields)
+    return [get_args(hints[name])[1:] for name in kind._fields]
 
 
 class _Fields(types.Type):
@@ -93,13 +98,12 @@ class _Fields(types.Type):
     """
 
     def __init__(self, kind: type[NamedTuple], *, held: bool, several: bool) -> None:
-        hints = get_type_hints(kind, include_extras=True)
         self.names = kind._fields
         numbers = [from_dtype(dtype) for dtype in _dtypes(kind)]
         self.kinds: list[Any] = []
-        for name, number, own in zip(kind._fields, numbers, own_of(kind), strict=True):
-            pointer = LanesAt(number) if several and own else types.CPointer(number)
-            self.kinds.append(pointer if get_args(hints[name]) else number)
+        for number, own, marks in zip(numbers, own_of(kind), _marks(kind), strict=True):
+            pointer = LanesAt(number, out="out" in marks) if several and own else types.CPointer(number)
+            self.kinds.append(pointer if marks else number)
         self.held = held
         super().__init__(name=f"Fields({kind.__name__}, {held}, {several})")
 

@@ -1,12 +1,12 @@
 """The gain of a sample, by its sensor's policy (Bezmen 2019, eq. 27 and 29); compiled with ``step``."""
 
-from fuselog.fusion.kernel.blank import LD, WIDTH, N
-from fuselog.fusion.kernel.innovation import decorrelate, spread
+from fuselog.fusion.kernel.blank import LD, SENSORS, WIDTH, M, N
+from fuselog.fusion.kernel.innovation import decorrelate, solve, spread
 from fuselog.fusion.kernel.layout import (
     ABSORB,
     ACQUIRING,
-    APART,
     HP,
+    MARKED,
     MATRIX,
     MEASURES,
     OPTIMAL,
@@ -16,25 +16,26 @@ from fuselog.fusion.kernel.layout import (
     STATE,
     VARIANT,
     G,
+    rows_of,
 )
-from fuselog.fusion.kernel.moments import gather, marks_at, missing
-from fuselog.fusion.kernel.rows import row_copy, row_scale, row_take
+from fuselog.fusion.kernel.rows import row_copy, row_scale
+from fuselog.fusion.kernel.schedule import gather, missing
 from fuselog.fusion.kernel.tables import History, Tables, Work
 from fuselog.schemas.compiled import inline
 
 
 @inline
-def variant(tables: Tables, history: History, k: int, sensor: int) -> int:
+def variant(history: History, k: int, sensor: int) -> int:
     """The sensor's place in the gain tables at the moment of entry k."""
-    return int(history.marks[marks_at(tables, k) + VARIANT]) * tables.S + sensor
+    return int(history.marks[k * MARKED + VARIANT]) * SENSORS + sensor
 
 
 @inline
 def policy(tables: Tables, history: History, k: int, sensor: int) -> int:
     """How the gain of entry k is made."""
-    if int(history.marks[marks_at(tables, k) + ACQUIRING]):
+    if int(history.marks[k * MARKED + ACQUIRING]):
         return OPTIMAL
-    return tables.gain[variant(tables, history, k, sensor)]
+    return tables.gain[variant(history, k, sensor)]
 
 
 @inline
@@ -45,7 +46,7 @@ def has_vote(tables: Tables, history: History, work: Work, k: int, sensor: int) 
         return True
     gather(tables, history, work, k)
     whole = True
-    for other in range(tables.S):
+    for other in range(SENSORS):
         if tables.missing == SKIP and tables.role[other] == MEASURES:
             whole &= not missing(tables, history, work, k, other)
     return whole and work.here[sensor] == k
@@ -63,11 +64,11 @@ def gain(tables: Tables, history: History, work: Work, k: int, sensor: int, m: i
 
     In the short form they are not needed.
     """
-    how, M = policy(tables, history, k, sensor), tables.M
+    how = policy(tables, history, k, sensor)
     if is_short(tables, history, work, k, sensor):
         return True
     if how == MATRIX:
-        take_matrix(tables, work, m, variant(tables, history, k, sensor))
+        take_matrix(tables, work, m, variant(history, k, sensor))
     elif how == STATE:
         for a in range(m):
             weigh_states(tables, history, work, k, sensor, a)
@@ -87,7 +88,7 @@ def gain(tables: Tables, history: History, work: Work, k: int, sensor: int, m: i
 def take_matrix(tables: Tables, work: Work, m: int, at: int) -> None:
     """G as it is given."""
     for a in range(m):
-        row_copy(work.rows, G + a * LD, tables.table, (at * tables.M + work.active[a]) * N, N)
+        row_copy(work.rows, G + a * LD, tables.table, (at * M + work.active[a]) * N, N)
         for f in range(N, LD):
             work.rows[G + a * LD + f] = 0.0
 
@@ -129,12 +130,12 @@ def portion(tables: Tables, history: History, work: Work, k: int, sensor: int, a
     weight is divided by what the later ones leave: g' = g / (1 - sum of the later g). The weight of a missing sensor
     goes where ``tables.missing`` says.
     """
-    at, how, row = variant(tables, history, k, sensor), policy(tables, history, k, sensor), work.active[a]
-    own = tables.weight[at * tables.M + row] if how == ABSORB else tables.table[(at * tables.M + row) * N + target]
+    at, how, row = variant(history, k, sensor), policy(tables, history, k, sensor), work.active[a]
+    own = tables.weight[at * M + row] if how == ABSORB else tables.table[(at * M + row) * N + target]
     if not tables.cycles or own == 0.0:
         return own
     total, absent, later = 0.0, 0.0, 0.0
-    for other in range(tables.S):
+    for other in range(SENSORS):
         weight = toward(tables, at - sensor + other, other, how, target)
         total += weight
         absent += weight if missing(tables, history, work, k, other) else 0.0
@@ -152,25 +153,9 @@ def portion(tables: Tables, history: History, work: Work, k: int, sensor: int, a
 def toward(tables: Tables, at: int, sensor: int, how: int, target: int) -> float:
     """What the numbers of a sensor weigh in a target; ``at`` is its place in the gain tables."""
     total = 0.0
-    for i in range(tables.rows[sensor] if tables.role[sensor] == MEASURES else 0):
+    for i in range(rows_of(tables, sensor) if tables.role[sensor] == MEASURES else 0):
         if how == ABSORB:
-            total += tables.weight[at * tables.M + i] if tables.what[sensor * tables.M + i] == target else 0.0
+            total += tables.weight[at * M + i] if tables.what[sensor * M + i] == target else 0.0
         else:
-            total += tables.table[(at * tables.M + i) * N + target]
+            total += tables.table[(at * M + i) * N + target]
     return total
-
-
-@inline
-def solve(work: Work, m: int) -> None:
-    """G' = S^-1 H P = L'^-1 D^-1 L^-1 H P (Bezmen 2019, eq. 27)."""
-    w, L, last = work.rows, work.L, m - 1
-    scale_apart(work, m)
-    for a in range(last, -1, -1):
-        row_take(w, G + a * LD, w, G + a * LD, w, G + last * LD, -LD, L, last * m + a, -m, last - a, 1.0, LD)
-
-
-@inline
-def scale_apart(work: Work, m: int) -> None:
-    """D^-1 L^-1 H P, in the place of G'."""
-    for a in range(m):
-        row_scale(work.rows, G + a * LD, work.rows, APART + a * LD, work.D[a], LD)

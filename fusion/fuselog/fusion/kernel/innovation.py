@@ -2,8 +2,8 @@
 
 import math
 
-from fuselog.fusion.kernel.blank import LD, ROTATION, WIDTH, N, observe
-from fuselog.fusion.kernel.layout import APART, COVARIANCE, HP, ROW
+from fuselog.fusion.kernel.blank import LD, ROTATION, WIDTH, M, N, observe
+from fuselog.fusion.kernel.layout import APART, COVARIANCE, HP, ROW, SAMPLE, G, rows_of
 from fuselog.fusion.kernel.rotations import quaternion_from_rpy, quaternion_product, rotation_vector
 from fuselog.fusion.kernel.rows import row_add, row_scale, row_take
 from fuselog.fusion.kernel.scalars import wrap
@@ -16,10 +16,9 @@ MODEST = 1e5  # S over R up to which the short form of the covariance loses no m
 @inline
 def measure(tables: Tables, history: History, work: Work, k: int, sensor: int, i: int, at: int) -> float:
     """h of the sensor's number i; its derivatives go to place ``at`` of the work."""
-    what = tables.what[sensor * tables.M + i]
-    M = tables.M
+    what = tables.what[sensor * M + i]
     if what < 0:
-        sample = k * (M + 3) + M
+        sample = k * SAMPLE + M
         h, work.hn[at] = observe(
             -1 - what,
             history.state,
@@ -43,15 +42,15 @@ def measure(tables: Tables, history: History, work: Work, k: int, sensor: int, i
 @inline
 def innovate(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
     """nu = z - h(x), angles wrapped (Bezmen 2019, eq. 15); of a whole attitude the turn to it, in body axes."""
-    M, turn = tables.M, tables.turn[sensor]
-    error = turn_to(history, k, k * (M + 3) + turn) if turn >= 0 else (0.0, 0.0, 0.0)
+    turn = tables.turn[sensor]
+    error = turn_to(history, k, k * SAMPLE + turn) if turn >= 0 else (0.0, 0.0, 0.0)
     for a in range(m):
         i = work.active[a]
         h = measure(tables, history, work, k, sensor, i, a)
-        nu = history.z[k * (M + 3) + i] - h
+        nu = history.z[k * SAMPLE + i] - h
         if turn >= 0 and 0 <= i - turn < 3:
             nu = axis_of(error, i - turn) - (h - history.state[k * ROW + ROTATION + i - turn])
-        work.nu[a] = wrap(nu) if tables.angle[sensor * tables.M + i] else nu
+        work.nu[a] = wrap(nu) if tables.angle[sensor * M + i] else nu
         history.nu[k * M + i] = work.nu[a]
 
 
@@ -63,7 +62,7 @@ def weigh(tables: Tables, history: History, work: Work, k: int, sensor: int, m: 
     P - (L^-1 H P)' D^-1 (L^-1 H P), which Joseph's form is for the optimal gain, is as exact as the long: it shrinks P
     in no direction by more than the sum of S/R where R is diagonal, and loses no more.
     """
-    M, rows, modest = tables.M, tables.rows[sensor], True
+    rows, modest = rows_of(tables, sensor), True
     project(work, history.state, k * ROW + COVARIANCE, m)
     work.diagonal[0] = is_diagonal(tables, history, work, k, sensor, m)
     for a in range(m):
@@ -79,16 +78,16 @@ def note_variances(tables: Tables, history: History, work: Work, k: int, sensor:
     """Write down the diagonal of S."""
     for a in range(m):
         i = work.active[a]
-        R = history.R[k * tables.M * tables.M + i * (tables.rows[sensor] + 1)]
-        history.S[k * tables.M + i] = work.S[a] + work.factor[0] * R
+        R = history.R[k * M * M + i * (rows_of(tables, sensor) + 1)]
+        history.S[k * M + i] = work.S[a] + work.factor[0] * R
 
 
 @inline
 def is_diagonal(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
     """Whether the noises of the active numbers have nothing to do with each other."""
-    rows, alone = tables.rows[sensor], True
+    rows, alone = rows_of(tables, sensor), True
     for a in range(1, m):
-        line = k * tables.M * tables.M + work.active[a] * rows
+        line = k * M * M + work.active[a] * rows
         for c in range(a):
             alone &= history.R[line + work.active[c]] == 0.0
     return bool(alone)
@@ -100,7 +99,7 @@ def decorrelate(tables: Tables, history: History, work: Work, k: int, sensor: in
 
     An entry of L is that of H P H', which is h of a number times a row of L^-1 H P, and of L^-1 R where R is full.
     """
-    L, M, rows, full, nis = work.L, tables.M, tables.rows[sensor], work.diagonal[0] == 0, 0.0
+    L, rows, full, nis = work.L, rows_of(tables, sensor), work.diagonal[0] == 0, 0.0
     for a in range(m):
         line = k * M * M + work.active[a] * rows
         pivot, rest = work.S[a] + factor * history.R[line + work.active[a]], work.nu[a]
@@ -129,6 +128,22 @@ def set_apart(work: Work, m: int, a: int, pivot: float, rest: float) -> float:
     row_take(w, APART + a * LD, w, HP + a * LD, w, APART, LD, L, a * m, 1, a, 1.0, LD)
     work.D[a], work.y[a] = 1.0 / pivot, rest
     return rest * rest * work.D[a]
+
+
+@inline
+def solve(work: Work, m: int) -> None:
+    """G' = S^-1 H P = L'^-1 D^-1 L^-1 H P (Bezmen 2019, eq. 27)."""
+    w, L, last = work.rows, work.L, m - 1
+    scale_apart(work, m)
+    for a in range(last, -1, -1):
+        row_take(w, G + a * LD, w, G + a * LD, w, G + last * LD, -LD, L, last * m + a, -m, last - a, 1.0, LD)
+
+
+@inline
+def scale_apart(work: Work, m: int) -> None:
+    """D^-1 L^-1 H P, in the place of G'."""
+    for a in range(m):
+        row_scale(work.rows, G + a * LD, work.rows, APART + a * LD, work.D[a], LD)
 
 
 @inline

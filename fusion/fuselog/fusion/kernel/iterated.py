@@ -10,11 +10,11 @@ until d no longer changes. P is Joseph's of the last H and G. Gate and NIS are t
 
 import math
 
-from fuselog.fusion.kernel.blank import LD, ROTATION, WIDTH, N, X, inject, predict
+from fuselog.fusion.kernel.blank import LD, ROTATION, WIDTH, M, N, X, inject, predict
 from fuselog.fusion.kernel.correction import add_up, shrink
-from fuselog.fusion.kernel.gains import is_short, solve
-from fuselog.fusion.kernel.innovation import innovate, measure, note_variances, weigh
-from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, ROW, SCRATCH
+from fuselog.fusion.kernel.gains import is_short
+from fuselog.fusion.kernel.innovation import innovate, measure, note_variances, solve, weigh
+from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, ROW, SAMPLE, SCRATCH
 from fuselog.fusion.kernel.rotations import right_jacobian
 from fuselog.fusion.kernel.rows import row_copy
 from fuselog.fusion.kernel.scalars import wrap
@@ -77,10 +77,9 @@ def settled(tables: Tables, history: History, work: Work, k: int) -> bool:
 @inline
 def linearise_again(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
     """S taken apart, and the innovation that belongs to d, about the corrected x in entry k; whether S is positive."""
-    M = tables.M
     for a in range(m):
         i = work.active[a]
-        nu = history.z[k * (M + 3) + i] - measure(tables, history, work, k, sensor, i, a)
+        nu = history.z[k * SAMPLE + i] - measure(tables, history, work, k, sensor, i, a)
         nu = wrap(nu) if tables.angle[sensor * M + i] else nu
         if ROTATION >= 0:
             turn_slopes(work, a)

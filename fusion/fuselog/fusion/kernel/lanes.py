@@ -23,6 +23,7 @@ from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
+LINE: Final = 64  # bytes of a line of the cache
 LANES: Final = 8  # filters that go together: a vector of the widest processors there are
 
 _DOUBLE, _WORD, _BIT, _BYTE = ir.DoubleType(), ir.IntType(64), ir.IntType(1), ir.IntType(8)
@@ -57,12 +58,15 @@ class _VectorModel(models.PrimitiveModel):
 
 
 class LanesAt(types.Type):
-    """A pointer to a number of each filter, and behind them the next ones; ``kept``: as they are in memory."""
+    """A pointer to a number of each filter, and behind them the next ones; ``kept``: as they are in memory.
 
-    def __init__(self, dtype: types.Type) -> None:
-        self.kept = dtype
+    ``out``: they are written once, and not read by the kernel.
+    """
+
+    def __init__(self, dtype: types.Type, *, out: bool = False) -> None:
+        self.kept, self.out = dtype, out
         self.held = lanes if dtype is types.float64 else lane_ints
-        super().__init__(name=f"LanesAt({dtype})")
+        super().__init__(name=f"LanesAt({dtype}, {out})")
 
 
 @register_model(LanesAt)
@@ -92,8 +96,17 @@ def _set(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     kind = signature.args[0]
     if kind.kept.bitwidth < 64:
         value = builder.trunc(value, ir.VectorType(_BYTE, LANES))
-    builder.store(value, _place(builder, pointer, index), align=kind.kept.bitwidth // 8)
+    store(builder, value, _place(builder, pointer, index), kind)
     return context.get_dummy_value()
+
+
+def store(builder: Any, value: Any, place: Any, kind: LanesAt) -> None:
+    """Put vectors of lanes there; what is out goes past the caches, which would read its lines before."""
+    if kind.out and kind.kept.bitwidth == 64:
+        done = builder.store(value, place, align=LINE)
+        done.set_metadata("nontemporal", builder.module.add_metadata([ir.IntType(32)(1)]))
+    else:
+        builder.store(value, place, align=kind.kept.bitwidth // 8)
 
 
 @infer_global(operator.getitem)

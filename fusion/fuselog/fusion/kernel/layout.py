@@ -1,6 +1,8 @@
 """Where the numbers of a filter lie in flat memory, and the words that kernels compare; compiled with ``step``."""
 
-from fuselog.fusion.kernel.blank import LD, N, U, X
+from fuselog.fusion.kernel.blank import ALIKE, LD, SENSORS, M, N, U, X
+from fuselog.fusion.kernel.tables import SAMPLE_WIDTH, Tables
+from fuselog.schemas.compiled import inline
 
 COVARIANCE = X  # a row of state: x, P with rows padded to LD, input and its noise, which states are known
 INPUT = COVARIANCE + LD * LD
@@ -9,16 +11,17 @@ LINE = 8  # numbers of a line of the cache
 ROW = -(-(KNOWN + N) // LINE) * LINE
 PACKED = N * (N + 1) // 2
 
-MOST = 9  # numbers that one sample measures at most
+SAMPLE = M + SAMPLE_WIDTH  # numbers of a row of z
 HP = 2 * LD * LD  # places in Work.rows, after the two products of ``predict``
-G = HP + MOST * LD
-APART = G + MOST * LD
-JOSEPH = APART + MOST * LD
-DELTA = JOSEPH + MOST * LD
+G = HP + M * LD
+APART = G + M * LD
+JOSEPH = APART + M * LD
+DELTA = JOSEPH + M * LD
 SCRATCH = DELTA + LD
 
 BEGUN, VARIANT, ACQUIRING, AT, RESETS, MARKS = 0, 1, 2, 3, 4, 5  # a row of marks: these, and behind them by sensor
 LAST, STREAK, SENSOR_MARKS = 0, 1, 2  # the moment it was last fused, and how many samples it had gated since
+MARKED = MARKS + SENSORS * SENSOR_MARKS
 
 PROCESS, LEARNED = 0, 1  # a row of what is learned: this, and behind it the memories of some sensors
 FACTOR, SEEN, RECOVERED = 0, 1, 2  # a memory: factor on R, learned of how many; forced openings of the gate
@@ -36,3 +39,9 @@ MEASURES, DRIVES_NEXT, DRIVES_PREVIOUS = 0, 1, 2
 OPTIMAL, ABSORB, STATE, MATRIX = 0, 1, 2, 3
 PREDICTION, RENORMALIZE, RESCALE, SKIP = 0, 1, 2, 3
 IF_AGE, IF_STATE, IF_SPEED, IF_SENSOR = 0, 1, 2, 3
+
+
+@inline
+def rows_of(tables: Tables, sensor: int) -> int:
+    """How many numbers a sample of the sensor measures."""
+    return M if ALIKE else tables.rows[sensor]

@@ -3,7 +3,7 @@
 from fuselog.fusion.kernel.blank import WIDTH, N, linearise
 from fuselog.fusion.kernel.fields import record_at
 from fuselog.fusion.kernel.innovation import measure
-from fuselog.fusion.kernel.layout import ROW
+from fuselog.fusion.kernel.layout import ROW, rows_of
 from fuselog.fusion.kernel.tables import Floats, History, Linear, Tables, Work
 from fuselog.schemas.compiled import inline, kernel
 
@@ -39,7 +39,7 @@ def observation(tables: int, history: int, work: int, linear: int, k: int, senso
 @inline
 def observation_at(tables: Tables, history: History, work: Work, linear: Linear, k: int, sensor: int) -> None:
     """``observation`` on the records themselves."""
-    for i in range(tables.rows[sensor]):
+    for i in range(rows_of(tables, sensor)):
         linear.h[i] = measure(tables, history, work, k, sensor, i, i)
         spread_row(work, linear.H, i)
 

@@ -23,7 +23,7 @@ def begin_history(
     u: Floats,
 ) -> History:
     """A history that holds one state only, at no time yet; ``u`` is the input and its noise densities (2 U,)."""
-    history, sensors = empty_history(kernel, tables, capacity), tables.S
+    history = empty_history(kernel, tables, capacity)
     N, LD = kernel.N, kernel.LD
     history.state[:N] = x
     if kernel.ROTATION >= 0:
@@ -32,7 +32,7 @@ def begin_history(
     history.state[kernel.COVARIANCE : kernel.COVARIANCE + LD * LD].reshape(LD, LD)[:N, :N] = P
     history.state[kernel.INPUT : kernel.INPUT + 2 * kernel.U] = u
     history.state[kernel.KNOWN : kernel.KNOWN + N] = known
-    marks = history.marks[: kernel.MARKS + sensors * kernel.SENSOR_MARKS]
+    marks = history.marks[: kernel.MARKED]
     marks[kernel.AT] = NEVER
     marks[kernel.MARKS + kernel.LAST :: kernel.SENSOR_MARKS] = NEVER
     if tables.learned:
@@ -45,18 +45,18 @@ def begin_history(
 
 def empty_history(kernel: ModuleType, tables: Tables, capacity: int) -> History:
     """Room for ``capacity`` entries, all 0."""
-    C, M, sensors = capacity, tables.M, tables.S
+    C, M = capacity, tables.M
     return History(
         capacity=C,
         cursor=np.zeros(3, np.int64),
-        counts=np.zeros(sensors * DECISIONS, np.int64),
+        counts=np.zeros(tables.S * DECISIONS, np.int64),
         t=np.zeros(C, np.int64),
         sensor=np.zeros(C, np.int64),
         seq=np.zeros(C, np.int64),
         decision=np.zeros(C, np.uint8),
         z=np.zeros(C * (M + SAMPLE_WIDTH)),
         R=np.zeros(C * M * M),
-        marks=np.zeros(C * (kernel.MARKS + sensors * kernel.SENSOR_MARKS), np.int64),
+        marks=np.zeros(C * kernel.MARKED, np.int64),
         learned=np.zeros(C * tables.learned),
         state=_zeros(C * kernel.ROW),
         nis=np.zeros(C),

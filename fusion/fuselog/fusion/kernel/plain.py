@@ -2,6 +2,7 @@
 
 # ruff: noqa: ARG001  what the others use
 
+from fuselog.fusion.kernel.blank import M
 from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
 
@@ -31,7 +32,7 @@ def noise_factor(tables: Tables, history: History, k: int, sensor: int) -> float
 @inline
 def accept(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
     """Whether the sample passes its gate."""
-    return history.nis[k] <= tables.threshold[sensor * tables.M + m - 1]
+    return history.nis[k] <= tables.threshold[sensor * M + m - 1]
 
 
 @inline

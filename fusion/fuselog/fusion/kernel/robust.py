@@ -9,7 +9,7 @@ R is learned before its sample is fused, and quicker at first, when a sample tha
 
 import math
 
-from fuselog.fusion.kernel.blank import DENSITIES, LD, WIDTH, N, U
+from fuselog.fusion.kernel.blank import DENSITIES, LD, SENSORS, WIDTH, M, N, U
 from fuselog.fusion.kernel.innovation import decorrelate, note_variances, weigh
 from fuselog.fusion.kernel.layout import (
     AGE,
@@ -24,6 +24,7 @@ from fuselog.fusion.kernel.layout import (
     LAST,
     LEARNS,
     LEAST,
+    MARKED,
     MARKS,
     PATIENCE,
     PROCESS,
@@ -38,8 +39,9 @@ from fuselog.fusion.kernel.layout import (
     TEACHES,
     TUNING,
     WAIT,
+    rows_of,
 )
-from fuselog.fusion.kernel.moments import marks_at, moment
+from fuselog.fusion.kernel.moments import moment
 from fuselog.fusion.kernel.tables import NEVER, Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
 
@@ -56,7 +58,7 @@ def remember(tables: Tables, history: History, k: int, elapsed: int) -> None:
         return
     for i in range(width):
         history.learned[k * width + i] = history.learned[(k - 1) * width + i]
-    for sensor in range(tables.S):
+    for sensor in range(SENSORS):
         if tables.memory[sensor] >= 0:
             history.learned[k * width + tables.memory[sensor] + AGE] += elapsed
 
@@ -83,9 +85,9 @@ def stated_noise(tables: Tables, history: History, work: Work, k: int) -> None:
 
 
 @inline
-def tuning_of(tables: Tables, sensor: int) -> int:
+def tuning_of(sensor: int) -> int:
     """Where the sensor's row of ``Tables.tuning`` begins."""
-    return sensor * (TUNING + 3 * tables.M)
+    return sensor * (TUNING + 3 * M)
 
 
 @inline
@@ -99,7 +101,7 @@ def noise_factor(tables: Tables, history: History, k: int, sensor: int) -> float
 @inline
 def accept(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> bool:
     """Whether the sample is fused, its noise enlarged if it is far off; and what is learned from it."""
-    care, most = tables.care[sensor], tables.threshold[sensor * tables.M + m - 1]
+    care, most = tables.care[sensor], tables.threshold[sensor * M + m - 1]
     passed = history.nis[k] <= most
     if care == 0:
         return passed
@@ -116,7 +118,7 @@ def accept(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
 @inline
 def locked_out(tables: Tables, history: History, k: int, sensor: int) -> bool:
     """Whether the gate has refused the sensor's samples for as long as it may, this one included."""
-    at, own = marks_at(tables, k) + MARKS + sensor * SENSOR_MARKS, tuning_of(tables, sensor)
+    at, own = k * MARKED + MARKS + sensor * SENSOR_MARKS, tuning_of(sensor)
     last = int(history.marks[at + LAST])
     waited = last == NEVER or moment(tables, history.t[k]) - last >= tables.tuning[own + WAIT]
     return waited and int(history.marks[at + STREAK]) + 1 >= tables.tuning[own + PATIENCE]
@@ -155,7 +157,7 @@ def involve(tables: Tables, history: History, work: Work, k: int, sensor: int, m
     for i in range(N):
         w[DELTA + i] = 0.0
     for a in range(m):
-        gives, most = tables.seed[sensor * tables.M + work.active[a]], 0.0
+        gives, most = tables.seed[sensor * M + work.active[a]], 0.0
         if gives >= 0:
             w[DELTA + gives] = 1.0
             continue
@@ -174,7 +176,7 @@ def soften(tables: Tables, history: History, work: Work, k: int, sensor: int, m:
 
     Huber: min(1, c / sqrt(NIS)). Student's t of n degrees of freedom: (n + m) / (n + NIS), and no more than 1.
     """
-    nis, own = history.nis[k], tuning_of(tables, sensor)
+    nis, own = history.nis[k], tuning_of(sensor)
     if tables.care[sensor] & HUBER:
         weight = math.sqrt(tables.tuning[own + TUNING + m - 1] / nis)
     else:
@@ -193,7 +195,7 @@ def inflate(tables: Tables, history: History, work: Work, k: int, sensor: int, m
 def learn(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int, trust: float) -> float:
     """Move the factors on R and Q by this innovation, of whose NIS only the share ``trust`` counts; what R grew by."""
     learned = history.learned
-    own, to = tuning_of(tables, sensor), k * tables.learned
+    own, to = tuning_of(sensor), k * tables.learned
     nis, part, expected = noise_part(tables, history, work, k, sensor, m)
     excess, grown = part * trust - expected, 1.0
     if tables.care[sensor] & LEARNS:
@@ -214,7 +216,7 @@ def learn(tables: Tables, history: History, work: Work, k: int, sensor: int, m: 
 @inline
 def noise_part(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> tuple[float, float, float]:
     """nu' S^-1 nu, of that nu' S^-1 R S^-1 nu, and tr(S^-1 R)."""
-    nis, part, expected, M, rows, v = 0.0, 0.0, 0.0, tables.M, tables.rows[sensor], work.B
+    nis, part, expected, rows, v = 0.0, 0.0, 0.0, rows_of(tables, sensor), work.B
     for a in range(m):
         v[a] = work.y[a]
         nis += v[a] * v[a] * work.D[a]

@@ -16,7 +16,7 @@ from numba import types  # pyright: ignore[reportMissingTypeStubs]  numba ships 
 from numba.core import cgutils  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
 from numba.extending import intrinsic  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
 
-from fuselog.fusion.kernel.lanes import LANES, LanesAt, lanes
+from fuselog.fusion.kernel.lanes import LANES, LanesAt, lanes, mask, store
 
 Floats = Any  # a pointer to float64
 
@@ -29,6 +29,7 @@ class Place:
     def __init__(self, pointer: Any) -> None:
         self.each = LANES if isinstance(pointer, LanesAt) else 1
         self.number = lanes if isinstance(pointer, LanesAt) else types.float64
+        self._pointer = pointer
 
     def at(self, builder: Any, pointer: Any, offset: Any, width: int) -> Any:
         """Pointer to ``width`` numbers from ``offset``, as one vector."""
@@ -48,25 +49,39 @@ class Place:
     def store(self, builder: Any, row: Any, pointer: Any, offset: Any) -> None:
         """Put a row there."""
         place = self.at(builder, pointer, offset, row.type.count // self.each)
-        builder.store(row, place, align=_BYTES)
+        if self.each > 1:
+            store(builder, row, place, self._pointer)
+        else:
+            builder.store(row, place, align=_BYTES)
 
 
 def spread(builder: Any, value: Any, width: int) -> Any:
     """A row of ``width`` numbers that are all ``value``."""
-    mask = [0] * width
+    order = [0] * width
     if isinstance(value.type, ir.VectorType):
-        one, mask = value, [*range(LANES)] * width
+        one, order = value, [*range(LANES)] * width
     else:
         one = ir.Constant(ir.VectorType(ir.DoubleType(), width), ir.Undefined)
         one = builder.insert_element(one, value, ir.Constant(ir.IntType(32), 0))
-    order = ir.Constant(ir.VectorType(ir.IntType(32), len(mask)), mask)
-    return builder.shuffle_vector(one, ir.Constant(one.type, ir.Undefined), order)
+    places = ir.Constant(ir.VectorType(ir.IntType(32), len(order)), order)
+    return builder.shuffle_vector(one, ir.Constant(one.type, ir.Undefined), places)
 
 
 def shuffle(builder: Any, p: Any, q: Any, numbers: list[int], each: int) -> Any:
     """A row of numbers of p and, behind these, q."""
     order = [number * each + lane for number in numbers for lane in range(each)]
     return builder.shuffle_vector(p, q, ir.Constant(ir.VectorType(ir.IntType(32), len(order)), order))
+
+
+def every(builder: Any, found: Any, place: Place) -> Any:
+    """Whether each number of a row of truths is true, for each lane."""
+    if place.each == 1:
+        bits = ir.IntType(found.type.count)
+        return builder.icmp_unsigned("==", builder.bitcast(found, bits), bits(2**found.type.count - 1))
+    result = ir.Constant(ir.VectorType(ir.IntType(1), place.each), [1] * place.each)
+    for number in range(found.type.count // place.each):
+        result = builder.and_(result, shuffle(builder, found, found, [number], place.each))
+    return result
 
 
 def unpack(builder: Any, values: Any) -> list[Any]:
@@ -89,6 +104,31 @@ def _row_copy(typing, to, at, source, start, width):  # noqa: ARG001  numba read
         return context.get_dummy_value()
 
     return (types.void(to, types.intp, source, types.intp, width), emit) if fixed(width) else None
+
+
+def _row_fill(typing, to, at, value, width):  # noqa: ARG001  numba reads this signature
+    """to[at : at + width] = value."""
+    place = Place(to)
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        row = spread(builder, arguments[2], width.literal_value * place.each)
+        place.store(builder, row, arguments[0], arguments[1])
+        return context.get_dummy_value()
+
+    return (types.void(to, types.intp, types.float64, width), emit) if fixed(width) else None
+
+
+def _row_is(typing, source, at, value, width):  # noqa: ARG001  numba reads this signature
+    """Whether each number of source[at : at + width] is the value, for each lane."""
+    place = Place(source)
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        long = width.literal_value
+        row = place.load(builder, arguments[0], arguments[1], long)
+        return every(builder, builder.fcmp_ordered("==", row, spread(builder, arguments[2], long * place.each)), place)
+
+    result = mask if place.each > 1 else types.boolean
+    return (result(source, types.intp, types.float64, width), emit) if fixed(width) else None
 
 
 def _row_scale(typing, to, at, source, start, factor, width):  # noqa: ARG001  numba reads this signature
@@ -183,6 +223,21 @@ class Scaled(Protocol):
         """``width`` is a constant."""
 
 
+class Fill(Protocol):
+    """A row of one number."""
+
+    def __call__(self, to: Floats, at: int, value: float, width: int) -> None:
+        """``width`` is a constant."""
+
+
+class Is(Protocol):
+    """Whether all numbers of a row are the same one."""
+
+    def __call__(self, source: Floats, at: int, value: float, width: int) -> bool:
+        """``width`` is a constant."""
+        ...
+
+
 class Gather(Protocol):
     """The sum of ``count`` rows of ``source``, one behind the other, each with its own factor."""
 
@@ -215,6 +270,8 @@ class Take(Protocol):
 
 
 row_copy = cast(Copy, intrinsic(prefer_literal=True)(_row_copy))
+row_fill = cast(Fill, intrinsic(prefer_literal=True)(_row_fill))
+row_is = cast(Is, intrinsic(prefer_literal=True)(_row_is))
 row_scale = cast(Scaled, intrinsic(prefer_literal=True)(_row_scale))
 row_add = cast(Scaled, intrinsic(prefer_literal=True)(_row_add))
 row_take = cast(Take, intrinsic(prefer_literal=True)(_row_take))

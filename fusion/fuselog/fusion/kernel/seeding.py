@@ -2,10 +2,11 @@
 
 import math
 
-from fuselog.fusion.kernel.blank import ANGLES, LD, ROTATION, WIDTH, N
+from fuselog.fusion.kernel.blank import ANGLES, LD, ROTATION, WIDTH, M, N
 from fuselog.fusion.kernel.innovation import measure
-from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, KNOWN, ROW, G
+from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, KNOWN, ROW, SAMPLE, G, rows_of
 from fuselog.fusion.kernel.rotations import quaternion_from_rpy, settle_rotation, show_rotation, turn_rotation
+from fuselog.fusion.kernel.rows import row_is
 from fuselog.fusion.kernel.scalars import atan2, wrap
 from fuselog.fusion.kernel.tables import Floats, History, Tables, Work
 from fuselog.schemas.compiled import inline
@@ -19,7 +20,7 @@ def level(tables: Tables, history: History, k: int, sensor: int) -> None:
     s, b, at = history.state, k * ROW, tables.level[sensor]
     if ROTATION < 0 or at < 0 or s[b + KNOWN + ROTATION] + s[b + KNOWN + ROTATION + 1] == 2.0:
         return
-    f = k * (tables.M + 3) + at
+    f = k * SAMPLE + at
     fx, fy, fz = history.z[f], history.z[f + 1], history.z[f + 2]
     for i in range(2):
         if s[b + KNOWN + ROTATION + i] == 0.0:
@@ -41,23 +42,20 @@ def give_variance(s: Floats, P: int, state: int, variance: float) -> None:
 @inline
 def all_known(history: History, k: int) -> bool:
     """Whether no state waits for its first measurement any more."""
-    known = 0.0
-    for i in range(N):
-        known += history.state[k * ROW + KNOWN + i]
-    return known == N
+    return row_is(history.state, k * ROW + KNOWN, 1.0, N)
 
 
 @inline
 def ready(tables: Tables, history: History, work: Work, k: int, sensor: int) -> bool:
     """Whether the sample can be used: what it depends on is known, or the sample itself gives it at once."""
     known = k * ROW + KNOWN
-    for i in range(tables.rows[sensor]):
-        if tables.what[sensor * tables.M + i] >= 0:
+    for i in range(rows_of(tables, sensor)):
+        if tables.what[sensor * M + i] >= 0:
             continue
         measure(tables, history, work, k, sensor, i, 0)
         for j in range(work.hn[0]):
             state = work.hi[j]
-            gives = state == tables.seed[sensor * tables.M + i] or measures(tables, sensor, state)
+            gives = state == tables.seed[sensor * M + i] or measures(tables, sensor, state)
             if tables.level[sensor] >= 0 or tables.turn[sensor] >= 0:
                 gives |= 0 <= ROTATION <= state < ROTATION + 3
             if history.state[known + state] == 0.0 and not gives:
@@ -69,8 +67,8 @@ def ready(tables: Tables, history: History, work: Work, k: int, sensor: int) -> 
 def measures(tables: Tables, sensor: int, state: int) -> bool:
     """Whether one of the sensor's numbers is the state itself."""
     found = False
-    for i in range(tables.rows[sensor]):
-        found |= tables.what[sensor * tables.M + i] == state
+    for i in range(rows_of(tables, sensor)):
+        found |= tables.what[sensor * M + i] == state
     return found
 
 
@@ -81,8 +79,8 @@ def seed(tables: Tables, history: History, work: Work, k: int, sensor: int) -> i
     A whole attitude comes first, then states measured as they are, for others may depend on them. The other numbers of
     the sample are the active ones, which go on to correct the state; returns how many.
     """
-    s, b, M, m = history.state, k * ROW, tables.M, 0
-    rows, turn = tables.rows[sensor], tables.turn[sensor]
+    s, b, m = history.state, k * ROW, 0
+    rows, turn = rows_of(tables, sensor), tables.turn[sensor]
     for i in range(rows):
         work.hn[i] = 0  # not used up
         for j in range(LD):
@@ -94,7 +92,7 @@ def seed(tables: Tables, history: History, work: Work, k: int, sensor: int) -> i
             state = tables.seed[sensor * M + i]
             if (tables.what[sensor * M + i] < 0) != (derived == 1) or state < 0 or s[b + KNOWN + state] != 0.0:
                 continue
-            nu = history.z[k * (M + 3) + i] - measure(tables, history, work, k, sensor, i, M)
+            nu = history.z[k * SAMPLE + i] - measure(tables, history, work, k, sensor, i, M)
             rotates = 0 <= ROTATION <= state < ROTATION + 3
             value = s[b + state] + (nu if rotates else nu / slope(work, M, state))
             s[b + state] = wrap(value) if ANGLES[state] else value
@@ -127,7 +125,7 @@ def give(tables: Tables, history: History, work: Work, k: int, sensor: int, i: i
 
     n is the number's noise. The rows at G hold the covariance of each number's noise with the states given before.
     """
-    s, w, M, rows = history.state, work.rows, tables.M, tables.rows[sensor]
+    s, w, rows = history.state, work.rows, rows_of(tables, sensor)
     P, a = k * ROW + COVARIANCE, slope(work, M, state)
     for other in range(rows):
         total = history.R[k * M * M + i * rows + other]
@@ -161,7 +159,7 @@ def attitude_known(history: History, k: int) -> bool:
 @inline
 def begin_attitude(tables: Tables, history: History, work: Work, k: int, sensor: int, turn: int) -> None:
     """Take the attitude that numbers ``turn`` to ``turn`` + 2 say, less their bias."""
-    s, b, M, z = history.state, k * ROW, tables.M, k * (tables.M + 3) + turn
+    s, b, z = history.state, k * ROW, k * SAMPLE + turn
     for axis in range(3):
         h = measure(tables, history, work, k, sensor, turn + axis, M)
         work.rows[DELTA + axis] = s[b + ROTATION + axis] - h

@@ -19,8 +19,7 @@ import math
 from fuselog.fusion.kernel.advance import admit, insert, write
 from fuselog.fusion.kernel.blank import LD, WIDTH, N, X, adjoin, inject
 from fuselog.fusion.kernel.fields import record_at
-from fuselog.fusion.kernel.layout import APART, AT, COVARIANCE, DRIVES_PREVIOUS, FUSED, KNOWN, MOST, RESETS, ROW
-from fuselog.fusion.kernel.moments import marks_at
+from fuselog.fusion.kernel.layout import APART, AT, COVARIANCE, DRIVES_PREVIOUS, FUSED, KNOWN, MARKED, RESETS, ROW, M
 from fuselog.fusion.kernel.rows import row_copy, row_scale, row_take
 from fuselog.fusion.kernel.seeding import give_variance
 from fuselog.fusion.kernel.squares import mirror, take_outer
@@ -34,8 +33,8 @@ ADJOINT = LAMBDA + LD
 PRODUCT = 2 * LD * LD  # places in Trail.scratch, after the two products of ``adjoin``
 CORRECTION = PRODUCT + LD * LD
 PROJECTED = CORRECTION + LD
-SHARE = PROJECTED + MOST * LD
-BACK_SCRATCH = SHARE + MOST
+SHARE = PROJECTED + M * LD
+BACK_SCRATCH = SHARE + M
 
 
 @kernel
@@ -69,16 +68,16 @@ def go_forth_all(
             insert(tables, history, events, e, at)
             for k in range(at, history.cursor[1] + 1):
                 step(tables, history, work, k)
-                keep(tables, history, work, trail, k)
+                keep(history, work, trail, k)
             decision = history.decision[at]
         visits.entry[e] = history.cursor[1]
         write(tables, history, at, decision, rows, e)
 
 
 @inline
-def keep(tables: Tables, history: History, work: Work, trail: Trail, k: int) -> None:
+def keep(history: History, work: Work, trail: Trail, k: int) -> None:
     """How ``step`` has just corrected entry k: the innovation and H, whitened."""
-    M, m, w, H = tables.M, 0, work, trail.H
+    m, w, H = 0, work, trail.H
     if history.decision[k] == FUSED:
         m = history.dof[k]
     trail.used[k] = m
@@ -141,31 +140,31 @@ def go_back_all(
 @inline
 def recede(tables: Tables, history: History, trail: Trail, k: int) -> None:
     """The adjoint after entry k - 1 from that after entry k."""
-    if began_anew(tables, history, k):
+    if began_anew(history, k):
         for i in range(LD * LD + LD):
             trail.adjoint[i] = 0.0
         return
-    before_update(tables, trail, k)
+    before_update(trail, k)
     before_first_values(history, trail, k)
     before_prediction(tables, history, trail, k)
 
 
 @inline
-def began_anew(tables: Tables, history: History, k: int) -> bool:
+def began_anew(history: History, k: int) -> bool:
     """Whether entry k gave up what was known: nothing after it says anything of what was before."""
-    at, before, lost = marks_at(tables, k) + RESETS, marks_at(tables, k - 1) + RESETS, False
+    at, before, lost = k * MARKED + RESETS, (k - 1) * MARKED + RESETS, False
     for j in range(N):
         lost |= history.state[(k - 1) * ROW + KNOWN + j] > history.state[k * ROW + KNOWN + j]
     return lost or history.marks[at] != history.marks[before]
 
 
 @inline
-def before_update(tables: Tables, trail: Trail, k: int) -> None:
+def before_update(trail: Trail, k: int) -> None:
     """Lambda~ and lambda~, by I - K H = I + V' L^-1 H; in two passes, as Joseph's form, for the digits' sake."""
     A, w, V, H, m = trail.adjoint, trail.scratch, trail.V, trail.H, trail.used[k]
-    first = k * tables.M * LD
+    first = k * M * LD
     for a in range(m):
-        share = trail.y[k * tables.M + a]
+        share = trail.y[k * M + a]
         for i in range(N):
             share -= V[first + a * LD + i] * A[LAMBDA + i]
         w[SHARE + a] = share
@@ -194,7 +193,7 @@ def before_first_values(history: History, trail: Trail, k: int) -> None:
 @inline
 def before_prediction(tables: Tables, history: History, trail: Trail, k: int) -> None:
     """F' Lambda F and F' lambda, by the input that ``carry`` used."""
-    before, now, a = history.marks[marks_at(tables, k - 1) + AT], history.marks[marks_at(tables, k) + AT], (k - 1) * ROW
+    before, now, a = history.marks[(k - 1) * MARKED + AT], history.marks[k * MARKED + AT], (k - 1) * ROW
     if before in (NEVER, now):
         return
     b = k * ROW if tables.role[history.sensor[k]] == DRIVES_PREVIOUS else a

@@ -5,7 +5,7 @@ Compiled with ``step``.
 
 import math
 
-from fuselog.fusion.kernel.blank import LD, LIMITED, LIMITS, N, X
+from fuselog.fusion.kernel.blank import LD, LIMITED, LIMITS, SENSORS, M, N, X
 from fuselog.fusion.kernel.layout import (
     AT,
     BAD_COVARIANCE,
@@ -13,11 +13,13 @@ from fuselog.fusion.kernel.layout import (
     COVARIANCE,
     FUSED,
     KNOWN,
+    MARKED,
     RESETS,
     ROW,
     SINGULAR,
+    rows_of,
 )
-from fuselog.fusion.kernel.moments import marks_at, moment
+from fuselog.fusion.kernel.moments import moment
 from fuselog.fusion.kernel.seeding import give_variance
 from fuselog.fusion.kernel.squares import mirror, rows_finite
 from fuselog.fusion.kernel.tables import Floats, History, Tables
@@ -82,18 +84,18 @@ def beyond(history: History, k: int) -> bool:
 
 
 @inline
-def hold(tables: Tables, history: History, k: int) -> None:
+def hold(history: History, k: int) -> None:
     """Entry k has the state of the entry before it, of that moment."""
     for i in range(ROW):
         history.state[k * ROW + i] = history.state[(k - 1) * ROW + i]
-    history.marks[marks_at(tables, k) + AT] = history.marks[marks_at(tables, k - 1) + AT]
+    history.marks[k * MARKED + AT] = history.marks[(k - 1) * MARKED + AT]
 
 
 @inline
-def restart(tables: Tables, history: History, k: int) -> None:
+def restart(history: History, k: int) -> None:
     """The covariance of entry k is no covariance any more: begin anew with the last good variances, inflated."""
     spread_out(history, k)
-    history.marks[marks_at(tables, k) + RESETS] += 1
+    history.marks[k * MARKED + RESETS] += 1
 
 
 @inline
@@ -117,9 +119,9 @@ def lose(tables: Tables, history: History, k: int) -> None:
     for i in range(N):
         if LIMITS[i] < math.inf:
             s[b + i], s[b + KNOWN + i] = 0.0, 0.0
-    for sensor in range(tables.S):
-        for i in range(tables.rows[sensor]):
-            state = tables.seed[sensor * tables.M + i]
+    for sensor in range(SENSORS):
+        for i in range(rows_of(tables, sensor)):
+            state = tables.seed[sensor * M + i]
             if state >= 0:
                 s[b + KNOWN + state] = 0.0
-    history.marks[marks_at(tables, k) + AT] = moment(tables, history.t[k])
+    history.marks[k * MARKED + AT] = moment(tables, history.t[k])

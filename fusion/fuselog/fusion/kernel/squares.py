@@ -14,7 +14,7 @@ from numba.core import cgutils  # pyright: ignore[reportMissingTypeStubs]  numba
 from numba.extending import intrinsic  # pyright: ignore[reportMissingTypeStubs]  numba ships no stubs
 
 from fuselog.fusion.kernel.lanes import mask
-from fuselog.fusion.kernel.rows import Floats, Place, fixed, shuffle, spread, unpack
+from fuselog.fusion.kernel.rows import Floats, Place, every, fixed, shuffle, spread, unpack
 
 _TILE = 4  # numbers of the smallest vector that all processors have, or put together
 _NARROW = 8  # lanes up to which four rows fit the registers of every processor
@@ -244,28 +244,18 @@ def _rows_finite(typing, source, at, height, width):  # noqa: ARG001  numba read
             rows = [builder.fadd(p, q) for p, q in zip(rows[::2], rows[1::2], strict=False)] + (
                 rows[-1:] if len(rows) % 2 else []
             )
-        return _all_finite(builder, rows[0], place.each)
+        return _all_finite(builder, rows[0], place)
 
     signature = (mask if place.each > 1 else types.boolean)(source, types.intp, height, width)
     return (signature, emit) if fixed(width) and fixed(height) else None
 
 
-def _all_finite(builder: Any, row: Any, each: int) -> Any:
+def _all_finite(builder: Any, row: Any, place: Place) -> Any:
     """Whether all numbers of a row are, for each lane."""
     words = ir.VectorType(ir.IntType(64), row.type.count)
     size = builder.and_(builder.bitcast(row, words), ir.Constant(words, [2**63 - 1] * words.count))
     found = builder.fcmp_ordered("<", builder.bitcast(size, row.type), ir.Constant(row.type, [math.inf] * words.count))
-    if each == 1:
-        bits = ir.IntType(words.count)
-        return builder.icmp_unsigned("==", builder.bitcast(found, bits), bits(2**words.count - 1))
-    lane_bits = ir.Constant(ir.VectorType(ir.IntType(1), each), [1] * each)
-    for number in range(words.count // each):
-        order = [number * each + lane for lane in range(each)]
-        part = builder.shuffle_vector(
-            found, ir.Constant(found.type, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), each), order)
-        )
-        lane_bits = builder.and_(lane_bits, part)
-    return lane_bits
+    return every(builder, found, place)
 
 
 def _pack_upper(typing, to, at, source, start, height, width):  # noqa: ARG001  numba reads this signature
@@ -276,7 +266,7 @@ def _pack_upper(typing, to, at, source, start, height, width):  # noqa: ARG001  
         to, at, source, start, *_ = arguments
         high, long, packed = height.literal_value, width.literal_value, 0
         for i in range(high):
-            wide = -(-(high - i) // _TILE) * _TILE
+            wide = -(-(high - i) // _TILE) * _TILE if place.each == 1 else high - i
             row = place.load(builder, source, builder.add(start, start.type(i * (long + 1))), wide)
             place.store(builder, row, to, builder.add(at, at.type(packed)))
             packed += high - i

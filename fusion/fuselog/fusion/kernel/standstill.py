@@ -6,7 +6,7 @@ little, about a mean that is small, is a standstill; at its end it counts as one
 so that their means are independent.
 """
 
-from fuselog.fusion.kernel.blank import LD, N, inject
+from fuselog.fusion.kernel.blank import LD, M, N, inject
 from fuselog.fusion.kernel.layout import (
     AGE,
     APART,
@@ -19,12 +19,14 @@ from fuselog.fusion.kernel.layout import (
     MEMORY,
     REFUSED,
     ROW,
+    SAMPLE,
     SPAN,
     STANDING,
     STANDS,
     STOOD,
     SURE,
     TUNING,
+    rows_of,
 )
 from fuselog.fusion.kernel.robust import tuning_of
 from fuselog.fusion.kernel.rows import row_copy, row_scale
@@ -41,15 +43,15 @@ def stand(tables: Tables, history: History, work: Work, k: int, sensor: int) -> 
     """Add the sample of entry k to its stretch, and judge that when it is long enough."""
     if not tables.care[sensor] & STANDS:
         return
-    learned, at, rows = history.learned, k * tables.learned + tables.memory[sensor], tables.rows[sensor]
-    mean, span = at + MEMORY, tables.tuning[tuning_of(tables, sensor) + SPAN]
+    learned, at, rows = history.learned, k * tables.learned + tables.memory[sensor], rows_of(tables, sensor)
+    mean, span = at + MEMORY, tables.tuning[tuning_of(sensor) + SPAN]
     if learned[at + COUNT] == 0.0:
         learned[at + AGE] = 0.0
     learned[at + COUNT] += 1.0
     for i in range(rows):
-        away = history.z[k * (tables.M + 3) + i] - learned[mean + i]
+        away = history.z[k * SAMPLE + i] - learned[mean + i]
         learned[mean + i] += away / learned[at + COUNT]
-        learned[mean + rows + i] += away * (history.z[k * (tables.M + 3) + i] - learned[mean + i])
+        learned[mean + rows + i] += away * (history.z[k * SAMPLE + i] - learned[mean + i])
     if learned[at + AGE] < span:
         return
     learned[at + JUDGED] += 1.0
@@ -72,8 +74,8 @@ def stand(tables: Tables, history: History, work: Work, k: int, sensor: int) -> 
 @inline
 def is_quiet(tables: Tables, history: History, at: int, sensor: int) -> bool:
     """Whether every number of the stretch varied little about a small mean."""
-    learned, rows, quiet = history.learned, tables.rows[sensor], True
-    most = tuning_of(tables, sensor) + TUNING + tables.M
+    learned, rows, quiet = history.learned, rows_of(tables, sensor), True
+    most = tuning_of(sensor) + TUNING + M
     for i in range(rows):
         quiet &= learned[at + MEMORY + rows + i] <= (learned[at + COUNT] - 1.0) * tables.tuning[most + 2 * i] ** 2
         quiet &= abs(learned[at + MEMORY + i]) <= tables.tuning[most + 2 * i + 1]
@@ -84,11 +86,11 @@ def is_quiet(tables: Tables, history: History, at: int, sensor: int) -> bool:
 def told(tables: Tables, history: History, at: int, n: int) -> tuple[float, float]:
     """What the standstill says of a state, number n of ``still``: value and variance."""
     sensor, number = tables.still[n * 4], tables.still[n * 4 + 2]
-    R = tables.tuning[tuning_of(tables, sensor) + tables.still[n * 4 + 3]]
+    R = tables.tuning[tuning_of(sensor) + tables.still[n * 4 + 3]]
     if number < 0:
         return 0.0, R
     learned, mean = history.learned, at + MEMORY + number
-    count, squares = learned[at + COUNT], learned[mean + tables.rows[sensor]]
+    count, squares = learned[at + COUNT], learned[mean + rows_of(tables, sensor)]
     return learned[mean], R + squares / (count - 1.0) / count
 
 
@@ -101,7 +103,7 @@ def agrees(tables: Tables, history: History, k: int, at: int, sensor: int) -> bo
         if tables.still[n * 4] == sensor and s[b + KNOWN + state] != 0.0:
             value, R = told(tables, history, at, n)
             variance = s[b + COVARIANCE + state * (LD + 1)] + R
-            close &= (value - s[b + state]) ** 2 <= tables.tuning[tuning_of(tables, sensor) + SURE] * variance
+            close &= (value - s[b + state]) ** 2 <= tables.tuning[tuning_of(sensor) + SURE] * variance
     return close
 
 

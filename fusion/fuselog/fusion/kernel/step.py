@@ -7,7 +7,7 @@ to P leaves it exactly symmetric.
 
 import math
 
-from fuselog.fusion.kernel.blank import LD, U, X, move
+from fuselog.fusion.kernel.blank import LD, M, U, X, move
 from fuselog.fusion.kernel.extended import amend, compare, forecast
 from fuselog.fusion.kernel.gains import gain, has_vote
 from fuselog.fusion.kernel.innovation import innovate, positive
@@ -23,17 +23,21 @@ from fuselog.fusion.kernel.layout import (
     GATED,
     INPUT,
     LAST,
+    MARKED,
     MARKS,
     ROW,
+    SAMPLE,
     SENSOR_MARKS,
     SINGULAR,
     SKIPPED,
     STREAK,
     UNINITIALISED,
+    rows_of,
 )
-from fuselog.fusion.kernel.moments import choose, marks_at, moment
+from fuselog.fusion.kernel.moments import moment
 from fuselog.fusion.kernel.robust import accept, noise_factor, remember
-from fuselog.fusion.kernel.rows import row_copy
+from fuselog.fusion.kernel.rows import row_copy, row_fill
+from fuselog.fusion.kernel.schedule import choose
 from fuselog.fusion.kernel.seeding import all_known, level, ready, seed
 from fuselog.fusion.kernel.soundness import conclude, finite, hold, lose, restart, whole_steps
 from fuselog.fusion.kernel.standstill import stand
@@ -46,12 +50,10 @@ def step(tables: Tables, history: History, work: Work, k: int) -> None:
     """Make entry k of the history: the state of entry k - 1 at its time, corrected by its sample."""
     sensor = history.sensor[k]
     role = tables.role[sensor]
-    M = tables.M
     history.nis[k], history.dof[k] = math.nan, 0
-    for i in range(M):
-        history.nu[k * M + i] = math.nan
-        history.S[k * M + i] = math.nan
-        history.absorbed[k * M + i] = math.nan
+    row_fill(history.nu, k * M, math.nan, M)
+    row_fill(history.S, k * M, math.nan, M)
+    row_fill(history.absorbed, k * M, math.nan, M)
     fault = carry(tables, history, work, k, role)
     choose(tables, history, k)
     if fault == FUSED:
@@ -72,9 +74,9 @@ def take_back(tables: Tables, history: History, work: Work, k: int, role: int, f
     own = conclude(tables, history, k)
     if own != FUSED:
         fault = own
-        hold(tables, history, k)
+        hold(history, k)
         if own == BAD_COVARIANCE:
-            restart(tables, history, k)
+            restart(history, k)
     if fault == SINGULAR:
         lose(tables, history, k)
     return fault
@@ -86,7 +88,7 @@ def apply(tables: Tables, history: History, work: Work, k: int, sensor: int, rol
     level(tables, history, k, sensor)
     decision = FUSED
     if role in (DRIVES_NEXT, DRIVES_PREVIOUS):
-        take_input(history, k, tables.M)
+        take_input(history, k)
     else:
         decision = correct(tables, history, work, k, sensor)
     stand(tables, history, work, k, sensor)
@@ -103,11 +105,10 @@ def carry(tables: Tables, history: History, work: Work, k: int, role: int) -> in
     for i in range(INPUT, ROW):
         s[b + i] = s[a + i]
     if role == DRIVES_PREVIOUS:
-        take_input(history, k, tables.M)
-    width = MARKS + tables.S * SENSOR_MARKS
-    for i in range(width):
-        history.marks[k * width + i] = history.marks[(k - 1) * width + i]
-    before, now = int(history.marks[marks_at(tables, k - 1) + AT]), moment(tables, history.t[k])
+        take_input(history, k)
+    for i in range(MARKED):
+        history.marks[k * MARKED + i] = history.marks[(k - 1) * MARKED + i]
+    before, now = int(history.marks[(k - 1) * MARKED + AT]), moment(tables, history.t[k])
     elapsed = 0 if before == NEVER else whole_steps(tables, now - before)
     remember(tables, history, k, max(elapsed, 0))
     fault = FUSED
@@ -121,27 +122,27 @@ def carry(tables: Tables, history: History, work: Work, k: int, role: int) -> in
         move(s, a, b, elapsed * 1e-9, tables.q)
     elif not forecast(tables, history, work, k, elapsed * 1e-9):
         fault = BAD_COVARIANCE
-    history.marks[marks_at(tables, k) + AT] = now
+    history.marks[k * MARKED + AT] = now
     if fault != FUSED:
-        hold(tables, history, k)
+        hold(history, k)
     if fault == BAD_COVARIANCE:
-        restart(tables, history, k)
+        restart(history, k)
     return fault
 
 
 @inline
-def take_input(history: History, k: int, M: int) -> None:
+def take_input(history: History, k: int) -> None:
     """The sample of entry k becomes the input, with the density of its noise."""
     b = k * ROW + INPUT
     for i in range(U):
-        history.state[b + i] = history.z[k * (M + 3) + i]
+        history.state[b + i] = history.z[k * SAMPLE + i]
         history.state[b + U + i] = history.R[k * M * M + i * U + i]
 
 
 @inline
 def correct(tables: Tables, history: History, work: Work, k: int, sensor: int) -> int:
     """Correct the state of entry k by its sample; returns what became of the sample."""
-    m = tables.rows[sensor]
+    m = rows_of(tables, sensor)
     if all_known(history, k):
         for i in range(m):
             work.active[i] = i
@@ -163,7 +164,7 @@ def correct(tables: Tables, history: History, work: Work, k: int, sensor: int) -
         return BAD_NUMBER
     if nis < 0.0:
         if positive(tables, history, work, k, sensor, m):  # then it is P that is none
-            restart(tables, history, k)
+            restart(history, k)
         return BAD_COVARIANCE
     if tables.covariance:
         history.nis[k], history.dof[k] = nis, m
@@ -178,7 +179,7 @@ def correct(tables: Tables, history: History, work: Work, k: int, sensor: int) -
 @inline
 def mark(tables: Tables, history: History, k: int, sensor: int) -> None:
     """Remember when the sensor was last fused, and how many samples it had gated since."""
-    at = marks_at(tables, k) + MARKS + sensor * SENSOR_MARKS
+    at = k * MARKED + MARKS + sensor * SENSOR_MARKS
     if history.decision[k] == FUSED:
         history.marks[at + LAST], history.marks[at + STREAK] = moment(tables, history.t[k]), 0
     elif history.decision[k] == GATED:

@@ -17,6 +17,9 @@ Bytes = Annotated[Any, np.uint8]
 # The same of each filter's own where a kernel moves several; all others of whole numbers are the same for them.
 OwnInts = Annotated[Any, np.int64, "own"]
 OwnBytes = Annotated[Any, np.uint8, "own"]
+# The same that a kernel writes once and does not read.
+OutInts = Annotated[Any, np.int64, "own", "out"]
+OutFloats = Annotated[Any, np.float64, "out"]
 
 
 class Role(IntEnum):
@@ -133,7 +136,7 @@ class History(NamedTuple):
     decision: OwnBytes  # (C,)
     z: Floats  # (C, M + SAMPLE_WIDTH)
     R: Floats  # (C, M * M)
-    marks: OwnInts  # (C, MARKS + S * SENSOR_MARKS) what is remembered besides the state, such as its moment
+    marks: OwnInts  # (C, MARKED) what is remembered besides the state, such as its moment
     learned: Floats  # (C, learned) factors on noises, and stretches that may be standstills
     state: Floats  # (C, ROW)
     nis: Floats  # (C,)
@@ -189,12 +192,12 @@ class Linear(NamedTuple):
 class Rows(NamedTuple):
     """What a kernel writes for each event; flat arrays that become a ``Track``, x and P with LD to spare."""
 
-    t_ns: OwnInts  # (n,)
+    t_ns: OutInts  # (n,)
     decision: OwnBytes  # (n,)
-    nis: Floats  # (n,)
-    dof: OwnInts  # (n,)
-    x: Floats  # (n, N)
-    P: Floats  # (n, N (N + 1) / 2)
-    nu: Floats  # (n, M)
-    S: Floats  # (n, M)
-    absorbed: Floats  # (n, M)
+    nis: OutFloats  # (n,)
+    dof: OutInts  # (n,)
+    x: OutFloats  # (n, N)
+    P: OutFloats  # (n, N (N + 1) / 2)
+    nu: OutFloats  # (n, M)
+    S: OutFloats  # (n, M)
+    absorbed: OutFloats  # (n, M)

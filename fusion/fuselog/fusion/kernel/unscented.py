@@ -11,7 +11,7 @@ import math
 
 from fuselog.fusion.kernel.blank import ANGLES, LD, ROTATION, N, U, X, disturb, inject, move
 from fuselog.fusion.kernel.innovation import measure, set_apart
-from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, HP, INPUT, JOSEPH, MOST, ROW, SCRATCH, G
+from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, HP, INPUT, JOSEPH, ROW, SAMPLE, SCRATCH, G, M, rows_of
 from fuselog.fusion.kernel.rotations import turn_between
 from fuselog.fusion.kernel.rows import row_add, row_copy, row_scale
 from fuselog.fusion.kernel.scalars import wrap
@@ -31,7 +31,7 @@ MOVED = ROOT + N * LD  # x of each point, moved
 AWAY = MOVED + (POINTS + 1) * X  # each point less the mean
 WEIGHTED = AWAY + (POINTS + 1) * LD  # the same, times minus its weight
 MEASURED = WEIGHTED + (POINTS + 1) * LD  # what each point measures, less the mean of that
-ROOM = MEASURED + (POINTS + 1) * MOST  # numbers of Work.rows
+ROOM = MEASURED + (POINTS + 1) * M  # numbers of Work.rows
 
 
 @inline
@@ -72,7 +72,7 @@ def compare(tables: Tables, history: History, work: Work, k: int, sensor: int, m
 
     That is -1 where P or S is no covariance.
     """
-    s, w, b, M, rows = history.state, work.rows, k * ROW, tables.M, tables.rows[sensor]
+    s, w, b, rows = history.state, work.rows, k * ROW, rows_of(tables, sensor)
     clear(work.nu, 0, m)
     if not root(s, b + COVARIANCE, w):
         return -1.0
@@ -84,20 +84,20 @@ def compare(tables: Tables, history: History, work: Work, k: int, sensor: int, m
             row_copy(w, AWAY + p * LD, w, DELTA, LD)
             inject(s, b, w, DELTA)
         for a in range(m):
-            w[MEASURED + p * MOST + a] = measure(tables, history, work, k, sensor, work.active[a], a)
+            w[MEASURED + p * M + a] = measure(tables, history, work, k, sensor, work.active[a], a)
     for a in range(m):
         i = work.active[a]
         turns = tables.angle[sensor * M + i]
-        nu = history.z[k * (M + 3) + i] - average(w, MEASURED + a, turns)
+        nu = history.z[k * SAMPLE + i] - average(w, MEASURED + a, turns)
         work.nu[a] = wrap(nu) if turns else nu
         history.nu[k * M + i] = work.nu[a]
         row_scale(w, HP + a * LD, w, AWAY, EACH * w[MEASURED + a], LD)
         for p in range(1, POINTS):
-            row_add(w, HP + a * LD, w, AWAY + p * LD, EACH * w[MEASURED + p * MOST + a], LD)
+            row_add(w, HP + a * LD, w, AWAY + p * LD, EACH * w[MEASURED + p * M + a], LD)
         for c in range(a + 1):
             total = history.R[k * M * M + i * rows + work.active[c]]
             for p in range(POINTS + 1):
-                total += weight(p) * w[MEASURED + p * MOST + a] * w[MEASURED + p * MOST + c]
+                total += weight(p) * w[MEASURED + p * M + a] * w[MEASURED + p * M + c]
             work.L[a * m + c] = total
         history.S[k * M + i] = work.L[a * m + a]
     work.modest[0] = 0
@@ -127,13 +127,13 @@ def take_apart(work: Work, m: int) -> float:
 @inline
 def amend(tables: Tables, history: History, work: Work, k: int, sensor: int, m: int) -> None:
     """x = x (+) G nu, and P as the points less G of what they measure have it, and G R G': Joseph's form of points."""
-    s, w, b, M, rows = history.state, work.rows, k * ROW, tables.M, tables.rows[sensor]
+    s, w, b, rows = history.state, work.rows, k * ROW, rows_of(tables, sensor)
     clear(w, DELTA, LD)
     clear(w, AWAY + POINTS * LD, LD)
     for a in range(m):
         row_add(w, DELTA, w, G + a * LD, work.nu[a], LD)
         for p in range(POINTS + 1):
-            row_add(w, AWAY + p * LD, w, G + a * LD, -w[MEASURED + p * MOST + a], LD)
+            row_add(w, AWAY + p * LD, w, G + a * LD, -w[MEASURED + p * M + a], LD)
         row_scale(w, JOSEPH + a * LD, w, G, -history.R[k * M * M + work.active[a] * rows + work.active[0]], LD)
         for c in range(1, m):
             R = history.R[k * M * M + work.active[a] * rows + work.active[c]]
@@ -203,13 +203,13 @@ def differ(w: Floats, point: int, s: Floats, mean: int, to: int) -> None:
 @inline
 def average(w: Floats, seen: int, turns: bool) -> float:
     """The mean of what all points measure; each point is left with its difference from that."""
-    centre, mean = w[seen + POINTS * MOST], 0.0
+    centre, mean = w[seen + POINTS * M], 0.0
     for p in range(POINTS + 1):
-        change = w[seen + p * MOST] - centre
-        w[seen + p * MOST] = wrap(change) if turns else change
-        mean += weight(p) * w[seen + p * MOST]
+        change = w[seen + p * M] - centre
+        w[seen + p * M] = wrap(change) if turns else change
+        mean += weight(p) * w[seen + p * M]
     for p in range(POINTS + 1):
-        w[seen + p * MOST] -= mean
+        w[seen + p * M] -= mean
     return centre + mean
 
 

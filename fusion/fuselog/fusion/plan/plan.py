@@ -12,6 +12,7 @@ from fuselog.fusion.config import Config, Problem, Source, did_you_mean, read_so
 from fuselog.fusion.gate import chi_square_quantile
 from fuselog.fusion.kernel.cache import ModelCard, kernel_module, model_card
 from fuselog.fusion.kernel.declared import LINEAR, Declaration, Declared, ModelError, find_model, known_models
+from fuselog.fusion.kernel.fit import Fit
 from fuselog.fusion.kernel.tables import Role, Tables
 from fuselog.fusion.plan.gains import gain_tables
 from fuselog.fusion.plan.keys import check_keys, check_shared
@@ -49,8 +50,7 @@ class Plan:
         return self._kernel(abreast=True)
 
     def _kernel(self, *, abreast: bool) -> ModuleType:
-        careful = bool(self.tables.care.any())
-        return kernel_module(self.model, self.measured, self.config.filter.kind, careful=careful, abreast=abreast)
+        return kernel_module(self.model, self.measured, self.config.filter.kind, Fit.of(self.tables), abreast=abreast)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -146,7 +146,7 @@ def compile_plan(config: Config, source: Source, known_problems: Sequence[Proble
         **gains,
         **robust,
     )
-    kernel = kernel_module(model, measured, config.filter.kind, careful=bool(tables.care.any()))
+    kernel = kernel_module(model, measured, config.filter.kind, Fit.of(tables))
     problems += check_frozen(config, x, card, sensors, tables, kernel, P)
     settled = settle_gains(config, x, card, sensors, tables, kernel)
     if isinstance(settled, Problem):

@@ -38,6 +38,8 @@ def read_weights(
     S, M, N = len(sensors), max(sensor.dof for sensor in sensors), len(card.states)
     policy, weight, table = np.zeros(S, np.int64), np.zeros((S, M)), np.zeros((S, M, N))
     if gain.mode != "fixed":
+        if gain.mode == "steady_state":
+            policy[:] = Gain.MATRIX
         if gain.weights:
             problems.append(Problem((*place, "weights"), "weights need mode: fixed"))
     elif gain.form == "matrix":
