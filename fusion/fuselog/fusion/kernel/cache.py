@@ -23,7 +23,10 @@ from fuselog.schemas.errors import FuselogError
 
 _HERE = Path(__file__).parent
 _HELD = "import record_at\n", "import held_record_at as record_at\n"  # for models that are not small
-_LANES = "import record_at\n", "import lanes_at as record_at\n"  # for several filters
+_LANES = {  # for several filters
+    "import record_at\n": "import lanes_at as record_at\n",
+    " three_sin_cos,": " three_sin_cos_of_lanes as three_sin_cos,",
+}
 # the texts that are compiled together with a generated model, as one module that takes the model's names
 _BEFORE = ("layout", "innovation", "moments", "seeding", "correction", "soundness")
 _FILTERS = {"ekf": "extended", "iekf": "iterated", "ukf": "unscented"}  # of which one comes between
@@ -57,10 +60,12 @@ from fuselog.fusion.kernel.scalars import (
     sin_cos,
     sinc,
     tan,
+    three_sin_cos,
     wrap,
+    wrap_at,
 )
 from fuselog.fusion.kernel.rotations import right_jacobian, settle_rotation, show_rotation, turn_between, turn_rotation
-from fuselog.fusion.kernel.rows import row_copy
+from fuselog.fusion.kernel.rows import row_add, row_copy, row_put
 from fuselog.fusion.kernel.squares import congruence, increase, mirror
 from fuselog.schemas.compiled import inline, once
 
@@ -143,10 +148,11 @@ def kernel_module(
         text = _HEAD.format(name=model.name) + fit.text + _decorate(generated) + _join(texts)
         small = len(model.states) <= SMALL
         if abreast:
-            text = text.replace(*_LANES)
+            for one, several in _LANES.items():
+                text = text.replace(one, several)
         elif not small:
             text = text.replace(*_HELD)
-        _store(path, write_out(text, embed=small))
+        _store(path, write_out(text, embed=small or not abreast))
     return _load(path)
 
 

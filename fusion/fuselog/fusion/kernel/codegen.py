@@ -11,6 +11,7 @@ subexpressions shared and zeros left out.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import sympy as sp
 
@@ -231,14 +232,11 @@ def _move(model: Model, texts: _Texts) -> list[str]:
 
 def _arrive(model: Model, texts: _Texts) -> list[str]:
     """Lines that write the x of state row b."""
-    moved = texts.moved
+    stored = list(map(str, _stored(model)))
+    row = [texts.moved.get(name, "0.0") for name in stored]  # none has roll, pitch and yaw of a rotation
+    row = [f"wrap({value})" if angle else value for value, angle in zip_longest(row, model.angles)]
     return [
-        *(
-            f"    s[b + {i}] = {'wrap(' + moved[name] + ')' if model.angles[i] else moved[name]}"
-            for i, name in enumerate(model.names)
-            if name in moved
-        ),
-        *(f"    s[b + N + {i}] = {moved[str(q)]}" for i, q in enumerate(QUATERNION) if model.rotation),
+        f"    row_put(s, b, {tuple_text([*row, *['0.0'] * (_padded(len(row)) - len(row))])})",
         *(["    show_rotation(s, b + N, b + ROTATION)"] if model.rotation else []),
     ]
 
@@ -317,13 +315,14 @@ def _adjoin(model: Model, texts: _Texts) -> list[str]:
 def _inject(model: Model) -> list[str]:
     """x = x (+) d: added, angles wrapped, the attitude turned."""
     lines = ["def inject(s, a, w, d):", '    """Correct the x of state row a by the N numbers w[d:]."""']
+    if model.rotation is None:
+        wrapped = [f"    wrap_at(s, a + {i})" for i, turns in enumerate(model.angles) if turns]
+        return [*lines, "    row_add(s, a, w, d, 1.0, LD)", *wrapped]
     for i, name in enumerate(model.names):
         if name in _plain(model):
             moved = f"s[a + {i}] + w[d + {i}]"
             lines.append(f"    s[a + {i}] = {f'wrap({moved})' if model.angles[i] else moved}")
-    if model.rotation is not None:
-        lines += ["    turn_rotation(s, a + N, w, d + ROTATION)", "    show_rotation(s, a + N, a + ROTATION)"]
-    return lines
+    return [*lines, "    turn_rotation(s, a + N, w, d + ROTATION)", "    show_rotation(s, a + N, a + ROTATION)"]
 
 
 def _process_noise(model: Model, motion: _Motion) -> dict[tuple[int, int], Expr]:

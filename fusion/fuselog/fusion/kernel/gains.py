@@ -18,7 +18,7 @@ from fuselog.fusion.kernel.layout import (
     G,
     rows_of,
 )
-from fuselog.fusion.kernel.rows import row_copy, row_scale
+from fuselog.fusion.kernel.rows import row_part, row_scale
 from fuselog.fusion.kernel.schedule import gather, missing
 from fuselog.fusion.kernel.tables import History, Tables, Work
 from fuselog.schemas.compiled import inline
@@ -88,9 +88,7 @@ def gain(tables: Tables, history: History, work: Work, k: int, sensor: int, m: i
 def take_matrix(tables: Tables, work: Work, m: int, at: int) -> None:
     """G as it is given."""
     for a in range(m):
-        row_copy(work.rows, G + a * LD, tables.table, (at * M + work.active[a]) * N, N)
-        for f in range(N, LD):
-            work.rows[G + a * LD + f] = 0.0
+        row_part(work.rows, G + a * LD, tables.table, (at * M + work.active[a]) * N, N, LD)
 
 
 @inline

@@ -342,6 +342,27 @@ def _where(typing_context: Any, condition: Any, then: Any, otherwise: Any) -> An
     return wide(condition, wide, wide), emit
 
 
+def _together(typing_context: Any, p: Any, q: Any, r: Any) -> Any:  # noqa: ARG001  numba reads this signature
+    """Three numbers as the first lanes of one vector; the rest is 0."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        vector = ir.Constant(_FLOATS, [0.0] * LANES)
+        for lane, number in enumerate(arguments):
+            vector = builder.insert_element(vector, number, ir.Constant(ir.IntType(32), lane))
+        return vector
+
+    return lanes(types.float64, types.float64, types.float64), emit
+
+
+def _lane_of(typing_context: Any, vector: Any, lane: Any) -> Any:  # noqa: ARG001  numba reads this signature
+    """The number in a lane."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        return builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), lane.literal_value))
+
+    return (types.float64(vector, lane), emit) if isinstance(lane, types.IntegerLiteral) else None
+
+
 def _disagreements(typing_context: Any) -> Any:  # noqa: ARG001  numba reads this signature
     """How often lanes have disagreed, in all threads."""
 
@@ -413,6 +434,8 @@ class _Move(Protocol):
 
 everywhere = cast(Callable[[bool], bool], intrinsic(_everywhere))
 where = cast(_Where, intrinsic(_where))
+together = cast(Callable[[float, float, float], float], intrinsic(_together))
+lane_of = cast(Callable[[float, int], float], intrinsic(prefer_literal=True)(_lane_of))
 disagreements = cast(Callable[[], int], intrinsic(_disagreements))
 tally = cast(_Tally, intrinsic(_tally))
 take_lane = cast(_Move, intrinsic(_take_lane))

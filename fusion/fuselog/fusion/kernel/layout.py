@@ -9,6 +9,7 @@ INPUT = COVARIANCE + LD * LD
 KNOWN = INPUT + 2 * U
 LINE = 8  # numbers of a line of the cache
 ROW = -(-(KNOWN + N) // LINE) * LINE
+BEHIND = ROW - INPUT  # numbers of a row behind P
 PACKED = N * (N + 1) // 2
 
 SAMPLE = M + SAMPLE_WIDTH  # numbers of a row of z

@@ -52,11 +52,17 @@ def tuple_text(values: Iterable[str]) -> str:
 
 
 def assignments(shared: Sequence[tuple[sp.Symbol, Expr]]) -> Iterator[str]:
-    """Lines that give common subexpressions their names; sine and cosine of the same angle together."""
+    """Lines that give common subexpressions their names; sine and cosine of an angle, or of three, together."""
     names, given = {value: name for name, value in shared}, set[sp.Symbol]()
+    angles = list(dict.fromkeys(value.args[0] for _, value in shared if value.func in (sp.sin, sp.cos)))
+    pairs = {angle: (names.get(sp.sin(angle)), names.get(sp.cos(angle))) for angle in angles}
+    known = [angle for angle in angles if None not in pairs[angle] and not angle.free_symbols & {*names.values()}]
+    for three in zip(*[iter(known)] * 3, strict=False):
+        found = [name for angle in three for name in pairs[angle]]
+        yield f"{', '.join(map(str, found))} = three_sin_cos({', '.join(map(text, three))})"
+        given |= {*found}
     for name, value in shared:
-        turns = value.func in (sp.sin, sp.cos)
-        sine, cosine = (names.get(function(*value.args)) if turns else None for function in (sp.sin, sp.cos))
+        sine, cosine = pairs[value.args[0]] if value.func in (sp.sin, sp.cos) else (None, None)
         if sine is None or cosine is None:
             yield f"{name} = {text(value)}"
         elif name not in given:

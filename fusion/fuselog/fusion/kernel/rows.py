@@ -75,9 +75,13 @@ def shuffle(builder: Any, p: Any, q: Any, numbers: list[int], each: int) -> Any:
 
 def every(builder: Any, found: Any, place: Place) -> Any:
     """Whether each number of a row of truths is true, for each lane."""
+    count = found.type.count
     if place.each == 1:
-        bits = ir.IntType(found.type.count)
-        return builder.icmp_unsigned("==", builder.bitcast(found, bits), bits(2**found.type.count - 1))
+        whole = 1 << (count - 1).bit_length()  # other lengths are compared bit by bit
+        order = [*range(count), *[count] * (whole - count)]
+        found = shuffle(builder, found, ir.Constant(found.type, [1] * count), order, 1)
+        bits = ir.IntType(whole)
+        return builder.icmp_unsigned("==", builder.bitcast(found, bits), bits(2**whole - 1))
     result = ir.Constant(ir.VectorType(ir.IntType(1), place.each), [1] * place.each)
     for number in range(found.type.count // place.each):
         result = builder.and_(result, shuffle(builder, found, found, [number], place.each))
@@ -116,6 +120,43 @@ def _row_fill(typing, to, at, value, width):  # noqa: ARG001  numba reads this s
         return context.get_dummy_value()
 
     return (types.void(to, types.intp, types.float64, width), emit) if fixed(width) else None
+
+
+def _row_put(typing, to, at, values):  # noqa: ARG001  numba reads this signature
+    """to[at:] = the values, as one piece: a row is read late where parts of it are still on their way to the cache."""
+    place = Place(to)
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        to, at, values = arguments
+        numbers = unpack(builder, values)
+        if place.each > 1:
+            for i, number in enumerate(numbers):
+                place.store(builder, number, to, builder.add(at, at.type(i)))
+        else:
+            row = ir.Constant(ir.VectorType(ir.DoubleType(), len(numbers)), ir.Undefined)
+            for i, number in enumerate(numbers):
+                row = builder.insert_element(row, number, ir.Constant(ir.IntType(32), i))
+            place.store(builder, row, to, at)
+        return context.get_dummy_value()
+
+    return types.void(to, types.intp, types.UniTuple(place.number, len(values))), emit
+
+
+def _row_part(typing, to, at, source, start, count, width):  # noqa: ARG001  numba reads this signature
+    """to[at : at + width] = source[start : start + count], and 0 behind it."""
+    place = Place(to)
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001  numba's protocol
+        to, at, source, start, *_ = arguments
+        short, long = count.literal_value, width.literal_value
+        row = place.load(builder, source, start, short)
+        zeros = ir.Constant(row.type, [0.0] * row.type.count)
+        row = shuffle(builder, row, zeros, [*range(short), *[short] * (long - short)], place.each)
+        place.store(builder, row, to, at)
+        return context.get_dummy_value()
+
+    signature = types.void(to, types.intp, source, types.intp, count, width)
+    return (signature, emit) if fixed(width) and fixed(count) else None
 
 
 def _row_is(typing, source, at, value, width):  # noqa: ARG001  numba reads this signature
@@ -230,6 +271,19 @@ class Fill(Protocol):
         """``width`` is a constant."""
 
 
+class Put(Protocol):
+    """A row of numbers that are not in memory."""
+
+    def __call__(self, to: Floats, at: int, values: tuple[float, ...]) -> None: ...
+
+
+class Part(Protocol):
+    """A row of fewer numbers."""
+
+    def __call__(self, to: Floats, at: int, source: Floats, start: int, count: int, width: int) -> None:
+        """``count`` and ``width`` are constants."""
+
+
 class Is(Protocol):
     """Whether all numbers of a row are the same one."""
 
@@ -271,6 +325,8 @@ class Take(Protocol):
 
 row_copy = cast(Copy, intrinsic(prefer_literal=True)(_row_copy))
 row_fill = cast(Fill, intrinsic(prefer_literal=True)(_row_fill))
+row_put = cast(Put, intrinsic(_row_put))
+row_part = cast(Part, intrinsic(prefer_literal=True)(_row_part))
 row_is = cast(Is, intrinsic(prefer_literal=True)(_row_is))
 row_scale = cast(Scaled, intrinsic(prefer_literal=True)(_row_scale))
 row_add = cast(Scaled, intrinsic(prefer_literal=True)(_row_add))

@@ -7,7 +7,8 @@ or 2e-16 absolute near the zeros of sine and cosine.
 
 import math
 
-from fuselog.fusion.kernel.lanes import everywhere, where
+from fuselog.fusion.kernel.lanes import everywhere, lane_of, together, where
+from fuselog.fusion.kernel.tables import Floats
 from fuselog.schemas.compiled import inline
 
 # pi/2 in three parts; the first two have 33 bits, so that whole multiples of them are exact
@@ -28,33 +29,40 @@ def wrap(angle: float) -> float:
 
 
 @inline
+def wrap_at(s: Floats, i: int) -> None:
+    """``wrap`` the number s[i]; nothing is written where that changes nothing."""
+    angle = s[i]
+    if not everywhere((angle > -math.pi) & (angle <= math.pi)):
+        s[i] = wrap(angle)
+
+
+@inline
 def _eighth(angle: float) -> tuple[float, int]:
     """The angle less a whole number of right angles, in [-pi/4, pi/4], and that number modulo 4."""
-    if abs(angle) > _MOST_TURNS:
-        angle %= 2 * math.pi
-    if not abs(angle) <= _MOST_TURNS:
-        return math.nan, 0
-    turns = math.floor(angle * (2 / math.pi) + 0.5)
+    if not everywhere(abs(angle) <= _MOST_TURNS):
+        angle = where(abs(angle) <= _MOST_TURNS, angle, angle % (2 * math.pi))
+    is_one = abs(angle) <= _MOST_TURNS
+    turns = math.floor(where(is_one, angle, 0.0) * (2 / math.pi) + 0.5)
     rest = ((angle - turns * _PI_2_HIGH) - turns * _PI_2_MIDDLE) - turns * _PI_2_LOW
-    return rest, int(turns) & 3
+    return where(is_one, rest, math.nan), int(turns) & 3
 
 
 @inline
 def _sin_series(x: float) -> float:
     s = x * x
-    t = 1 / 6227020800 - s * (1 / 1307674368000 - s * (1 / 355687428096000))
-    t = 1 / 120 - s * (1 / 5040 - s * (1 / 362880 - s * (1 / 39916800 - s * t)))
-    return x - x * s * (1 / 6 - s * t)
+    near = (1 / 6 - s * (1 / 120)) + s * s * (1 / 5040 - s * (1 / 362880))
+    far = (1 / 39916800 - s * (1 / 6227020800)) + s * s * (1 / 1307674368000 - s * (1 / 355687428096000))
+    return x - x * s * (near + s * s * (s * s) * far)
 
 
 @inline
 def _cos_series(x: float) -> float:
     s = x * x
-    t = 1 / 479001600 - s * (1 / 87178291200 - s * (1 / 20922789888000 - s * (1 / 6402373705728000)))
-    t = 1 / 24 - s * (1 / 720 - s * (1 / 40320 - s * (1 / 3628800 - s * t)))
+    near = (1 / 24 - s * (1 / 720)) + s * s * (1 / 40320 - s * (1 / 3628800))
+    far = (1 / 479001600 - s * (1 / 87178291200)) + s * s * (1 / 20922789888000 - s * (1 / 6402373705728000))
     half = s / 2
     one = 1.0 - half
-    return one + (((1.0 - one) - half) + s * s * t)
+    return one + (((1.0 - one) - half) + s * s * (near + s * s * (s * s) * far))
 
 
 @inline
@@ -64,6 +72,20 @@ def sin_cos(angle: float) -> tuple[float, float]:
     sine, cosine, odd = _sin_series(rest), _cos_series(rest), (quarter & 1) != 0
     first, second = where(odd, cosine, sine), where(odd, sine, cosine)
     return where((quarter & 2) != 0, -first, first), where(((quarter + 1) & 2) != 0, -second, second)
+
+
+@inline
+def three_sin_cos(p: float, q: float, r: float) -> tuple[float, float, float, float, float, float]:
+    """Sine and cosine of each; it takes as long as that of one."""
+    s, c = sin_cos(together(p, q, r))
+    return lane_of(s, 0), lane_of(c, 0), lane_of(s, 1), lane_of(c, 1), lane_of(s, 2), lane_of(c, 2)
+
+
+@inline
+def three_sin_cos_of_lanes(p: float, q: float, r: float) -> tuple[float, float, float, float, float, float]:
+    """The same where each is of several filters."""
+    first, second, third = sin_cos(p), sin_cos(q), sin_cos(r)
+    return first[0], first[1], second[0], second[1], third[0], third[1]
 
 
 @inline

@@ -16,6 +16,7 @@ from fuselog.fusion.kernel.layout import (
     BAD_CLOCK,
     BAD_COVARIANCE,
     BAD_NUMBER,
+    BEHIND,
     COVARIANCE,
     DRIVES_NEXT,
     DRIVES_PREVIOUS,
@@ -102,8 +103,7 @@ def carry(tables: Tables, history: History, work: Work, k: int, role: int) -> in
     Returns FUSED, or why that cannot be: the state is then the one before, at its time.
     """
     s, a, b = history.state, (k - 1) * ROW, k * ROW
-    for i in range(INPUT, ROW):
-        s[b + i] = s[a + i]
+    row_copy(s, b + INPUT, s, a + INPUT, BEHIND)
     if role == DRIVES_PREVIOUS:
         take_input(history, k)
     for i in range(MARKED):
