@@ -46,6 +46,15 @@ def test_circular_functions_of_great_and_of_no_angles() -> None:
         assert math.isnan(cos(angle))
 
 
+def test_three_at_once_are_what_each_is() -> None:
+    three = from_python(scalars.three_sin_cos)
+    odd = [1e7, -1e22, math.inf, math.nan, -math.inf, 1e300, 0.0, -0.0]
+    angles = [*ANGLES.tolist(), *odd, *odd[::-1]]
+    for p, q, r in zip(angles, angles[5:], angles[11:], strict=False):
+        expected = [value for angle in (p, q, r) for value in (sin(angle), cos(angle))]
+        assert np.array(three(p, q, r)).tobytes() == np.array(expected).tobytes()
+
+
 def test_angle_of_a_point() -> None:
     with mpmath.workdps(50):
         for x, y in (RNG.normal(size=(2000, 2)) * 10.0 ** RNG.uniform(-5, 5, (2000, 2))).tolist():

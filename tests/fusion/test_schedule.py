@@ -143,6 +143,20 @@ def test_reacquisition_ends_where_the_covariance_has_settled() -> None:
     assert (np.abs(y[first:] - 0.39) < 1e-12).all()
 
 
+def test_a_configuration_without_reacquisition_ends_one() -> None:
+    """Otherwise the optimal gain would stay for good."""
+    gain = {"mode": "fixed", "weights": {"distance.y": 0.39, "gyro.yaw": 0.18}, "rates": RATES, "reacquire": {}}
+    start = {"initial": {"state": {"y": 0, "yaw": 0}, "sd": {"y": 5.0, "yaw": 1.0}}}
+    plan, other = make_plan(wall(gain) | start), make_plan(wall({**gain, "reacquire": None}) | start)
+    events, engine = events_of(plan, wall_samples(200)), Engine(plan)
+    first = engine.advance(events.take(slice(0, 2)))
+    assert first.absorbed[first.of("distance"), 0].max() > 0.99
+    engine.settle()
+    engine.configure(other)
+    after = engine.advance(events.take(slice(2, None)))
+    assert after.absorbed[after.of("distance"), 0] == pytest.approx(0.39, abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("gain", "expected"),
     [

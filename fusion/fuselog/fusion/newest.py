@@ -46,6 +46,8 @@ def carry_over(before: Plan, after: Plan, history: History, capacity: int) -> Hi
     kernel, variants = after.kernel, len(after.tables.gain) // after.tables.S
     alone = alone._replace(learned=fresh.learned)
     alone.marks[kernel.VARIANT] = variants - 1
+    if after.tables.gap_ns < 0:  # without reacquisition there is no end of one, either
+        alone.marks[kernel.ACQUIRING] = 0
     return alone
 
 

@@ -121,6 +121,7 @@ class Fleet:
         for group, new in fresh:
             if new.plan.source.text == group.plan.source.text:
                 continue
+            warm_up(new.plan)
             for id in [id for id in self._runner.snapshots if self._runner.group_of(id) is group]:
                 self.command(id, Configure(new.plan.source.text))
                 done.append(f"{id} goes on with {group.plan.source.name} as it is now")

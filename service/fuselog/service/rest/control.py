@@ -12,6 +12,7 @@ from fuselog.fusion.config import GainSettings, Source, did_you_mean
 from fuselog.fusion.config.settings import Settings
 from fuselog.schemas import ConfigError
 from fuselog.service.live.member import Snapshot
+from fuselog.service.live.warm import warm_up
 from fuselog.service.rest.answers import Done, RecordingAnswer, recording_plain
 from fuselog.service.rest.asking import FilterId, SensorName, answer
 from fuselog.service.rest.config_text import with_enabled, with_gain
@@ -175,12 +176,15 @@ def _text_with_gain(source: Source, gain: GainSettings) -> str:
 
 
 async def _configure(shown: Shown, waiting: Waiting, id: str, make: Callable[[], str]) -> None:
-    """Make another text, compile it to see whether it is right, and hand it to the filter."""
+    """Make another text, compile it to see whether it is right, and hand it to the filter.
+
+    Kernels that it needs are made here, while the filter goes on.
+    """
     name = shown.snapshot(id).plan.source.name
 
     def work() -> None:
         text = make()
-        compile_plan(*parse_config(text, name=name))
+        warm_up(compile_plan(*parse_config(text, name=name)))
         shown.served.command(id, Configure(text))
 
     await _follow(waiting, work, within_s=_CONFIGURE_S)
