@@ -72,9 +72,9 @@ def test_what_is_called_once_is_marked_where_that_is_wanted(case: str, marked: i
 
 @pytest.mark.parametrize(("model", "small"), [("constant_velocity", True), ("unicycle", False)])
 def test_kernels_of_small_models_are_made_otherwise(model: str, small: bool) -> None:
-    """Calls put in their place; else addresses that are held."""
-    path = setup(model).kernel.__file__
-    assert path is not None
-    text = Path(path).read_text()
-    assert ("@once" in text) is small
-    assert ("held_record_at as record_at" in text) is not small
+    """Addresses are not held, and calls are put in their place where several filters go together, too."""
+    plan = setup(model)
+    alone, several = (Path(str(kernel.__file__)).read_text() for kernel in (plan.kernel, plan.abreast))
+    assert "@once" in alone
+    assert ("@once" in several) is small
+    assert ("held_record_at as record_at" in alone) is not small

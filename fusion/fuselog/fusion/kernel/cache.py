@@ -152,7 +152,8 @@ def kernel_module(
                 text = text.replace(one, several)
         elif not small:
             text = text.replace(*_HELD)
-        _store(path, write_out(text, embed=small or not abreast))
+        embed = small or not abreast  # long rows of lanes take the compiler twice the time then, for nothing
+        _store(path, write_out(text, embed=embed))
     return _load(path)
 
 

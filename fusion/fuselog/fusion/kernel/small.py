@@ -2,4 +2,4 @@
 
 from typing import Final
 
-SMALL: Final = 4  # states, for which a row of P is one vector of every processor, and calls take longer than arithmetic
+SMALL: Final = 4  # states, for which a row of P is one vector of every processor
