@@ -5,12 +5,14 @@
 
 Publishers and the subscriber of all estimates are processes of their own. Latency is from right before ``put`` of a
 sample to the callback of the subscriber with its estimate: two ways over the network, and the service between them.
-``--requests`` asks for health so many times a second, ``--clients`` read the stream of events. ``--flood`` sends one
-stream as fast as it goes instead, and compares with a subscriber that only counts.
+``--requests`` asks for health so many times a second, ``--clients`` read the stream of events; they come and go
+every few seconds, and times with them are compared with the times just before. ``--flood`` sends one stream as fast as
+it goes instead, and compares with a subscriber that only counts.
 """
 
 import argparse
 import asyncio
+import contextlib
 import json
 import os
 import re
@@ -35,7 +37,7 @@ from fuselog.service.transport import Endpoints, open_session
 from fuselog.service.wire import Tag, media_type, write_tag
 from fuselog.service.zenoh_door import Publisher, subscribe
 
-GOAL_MS, GOAL_CORES = 10.0, 1.0
+GOAL_MS, GOAL_CORES, GOAL_MORE = 10.0, 1.0, 0.2
 CONFIG = """\
 fuselog: 1
 model: {name: ins3d}
@@ -73,8 +75,11 @@ TYPES = {
     "mag": ("sensor_msgs/msg/MagneticField", {"magnetic_field.x": 2e-5, "magnetic_field.z": -4e-5}),
     "fix": ("sensor_msgs/msg/NavSatFix", {"latitude": 50.0, "longitude": 8.0, "altitude": 100.0}),
 }
+QUANTILES = (50, 90, 99, 99.9)
 SLOT_NS = 250_000  # robots take turns
 BEGIN_S = 3  # filters begin: no latency of that time counts
+TURN_S = 5  # visitors are there every second turn of the clock
+CHANGE_S = 0.5  # while they come or go: no latency counts
 
 
 def payload(kind: str) -> tuple[bytearray, str]:
@@ -82,6 +87,11 @@ def payload(kind: str) -> tuple[bytearray, str]:
     encoder = CdrEncoder(name, definition(name), columns=[], constants=constants)
     data, _ = encoder.encode(np.zeros(1, np.int64), np.empty((1, 0)))
     return bytearray(data.tobytes()), name
+
+
+def turn_of(t_s: float) -> int:
+    """The turn of the clock; visitors are there in odd ones."""
+    return int(t_s // TURN_S)
 
 
 def publish(endpoint: str, robots: int, seconds: float) -> None:
@@ -130,9 +140,13 @@ def listen(endpoint: str) -> None:
         subscribe(session, "fleet/*/fused", take)
         print("listening", flush=True)
         sys.stdin.readline()
-    ms = np.array(latencies)[np.array(stamps) > stamps[0] + BEGIN_S * 10**9] / 1e6
-    figures = {"estimates": len(latencies), **{f"p{q}": float(np.percentile(ms, q)) for q in (50, 90, 99, 99.9)}}
-    print(json.dumps(figures), flush=True)
+    ms, at = np.array(latencies) / 1e6, np.array(stamps) / 1e9
+    turns: dict[int, list[float]] = {}
+    for turn in range(turn_of(at[0] + BEGIN_S) + 1, turn_of(at[-1])):
+        mine = ms[(at // TURN_S == turn) & (at % TURN_S > CHANGE_S)]
+        turns[turn] = np.percentile(mine, QUANTILES).tolist()
+    quantiles = np.percentile(ms[at > at[0] + BEGIN_S], QUANTILES).tolist()
+    print(json.dumps({"estimates": len(latencies), "quantiles": quantiles, "turns": turns}), flush=True)
 
 
 def flood(endpoint: str, key: str, samples: int) -> None:
@@ -220,30 +234,53 @@ async def visit(url: str, requests: float, clients: int) -> None:
     async def ask(period: float) -> None:
         reader, writer, request = await begin("/api/v1/filters/r0/health")
         due = time.monotonic()
-        while True:
-            begun = time.monotonic()
-            writer.write(request)
-            head = await reader.readuntil(b"\r\n\r\n")
-            assert head.startswith(b"HTTP/1.1 200"), head
-            await reader.readexactly(int(head.lower().partition(b"content-length: ")[2].split()[0]))
-            times.append(time.monotonic() - begun)
-            due = max(due + period, begun)
-            await asyncio.sleep(max(due - time.monotonic(), 0))
+        with contextlib.closing(writer):
+            while True:
+                begun = time.monotonic()
+                writer.write(request)
+                head = await reader.readuntil(b"\r\n\r\n")
+                assert head.startswith(b"HTTP/1.1 200"), head
+                await reader.readexactly(int(head.lower().partition(b"content-length: ")[2].split()[0]))
+                times.append(time.monotonic() - begun)
+                due = max(due + period, begun)
+                await asyncio.sleep(max(due - time.monotonic(), 0))
 
     async def read_events() -> None:
         reader, writer, request = await begin("/api/v1/stream?rate=2")
-        writer.write(request)
-        while await reader.read(1 << 16):
-            pass
+        with contextlib.closing(writer):
+            writer.write(request)
+            while await reader.read(1 << 16):
+                pass
 
-    tasks = [asyncio.create_task(read_events()) for _ in range(clients)]
-    if requests:
-        tasks += [asyncio.create_task(ask(8 / requests)) for _ in range(8)]
+    async def visitors() -> None:
+        """Until the turn ends; raises what one of them does."""
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(read_events()) for _ in range(clients)]
+            tasks += [group.create_task(ask(8 / requests)) for _ in range(8 if requests else 0)]
+            await asyncio.wait(tasks, timeout=TURN_S - time.time() % TURN_S, return_when=asyncio.FIRST_COMPLETED)
+            assert not any(task.done() and not task.exception() for task in tasks), "a visitor was turned away"
+            for task in tasks:
+                task.cancel()
+
     end = asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
-    await asyncio.wait([end, *tasks], return_when=asyncio.FIRST_COMPLETED)
-    assert end.done(), "a visitor was turned away"
+    while not end.done():
+        if turn_of(time.time()) % 2 == 1:
+            await visitors()
+        await asyncio.wait([end], timeout=TURN_S - time.time() % TURN_S)
     print(json.dumps(times), flush=True)
     os._exit(0)
+
+
+def watch(pid: int, seconds: float) -> list[np.ndarray]:
+    """Cores that the two processes use, without visitors and with them; NaN where there was no time."""
+    spent, took, end = np.zeros((2, 2)), np.zeros(2), time.time() + seconds
+    while (begun := time.time()) < end:
+        before, turn = np.array(cpu_s(pid)), turn_of(begun)
+        time.sleep(min(end - begun, TURN_S - begun % TURN_S))
+        spent[turn % 2] += cpu_s(pid) - before
+        took[turn % 2] += time.time() - begun
+    with np.errstate(invalid="ignore"):
+        return [*(spent / took[:, np.newaxis])]
 
 
 def load(robots: int, seconds: float, requests: float, clients: int) -> None:
@@ -258,10 +295,7 @@ def load(robots: int, seconds: float, requests: float, clients: int) -> None:
         time.sleep(2.5)
         visits = ["--visit", service.url, "--requests", str(requests), "--clients", str(clients)]
         visitor = subprocess.Popen([*here, *visits], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        before, begun = cpu_s(service.process.pid), time.monotonic()
-        time.sleep(max(seconds - 3, 1))
-        took = time.monotonic() - begun
-        cores = [(now - then) / took for then, now in zip(before, cpu_s(service.process.pid), strict=True)]
+        cores = watch(service.process.pid, max(seconds - 3, 1))
         sent = json.loads(sender.communicate()[0])
         times = json.loads(visitor.communicate("\n")[0])
         accounts = [service.get(f"/api/v1/filters/{f['id']}/health") for f in service.get("/api/v1/filters")["filters"]]
@@ -285,18 +319,28 @@ def report(robots, seconds, sent, seen, accounts, cores, times) -> None:
     print(f"{robots} robots, {len(accounts)} filters, {seconds:g} s: {sent['sent']} samples sent", end=", ")
     print(f"{sent['sent'] / seconds:.0f}/s; the sender was at most {sent['late_ms']:.1f} ms behind")
     print(f"received {received}, {lost}, ledger {'exact' if balanced and received == sent['sent'] else 'WRONG'}")
-    quantiles = ", ".join(f"p{q:g} {seen[f'p{q:g}']:.2f}" for q in (50, 90, 99, 99.9))
+    quantiles = ", ".join(f"p{q:g} {value:.2f}" for q, value in zip(QUANTILES, seen["quantiles"], strict=True))
     print(f"{seen['estimates']} estimates; sample to estimate, ms: {quantiles} (goal p99 {GOAL_MS:g})")
     delays = [health["delay"]["p99_s"] * 1e3 for health in accounts if health["delay"]]
     print(f"arrival to publication, as the service says, ms: p99 {max(delays):.2f} in the slowest filter")
-    fusing, answering = cores
-    print(
-        f"the service used {sum(cores):.2f} cores (goal {GOAL_CORES:g}): {fusing:.2f} to fuse, {answering:.2f} for HTTP"
-    )
+    for number, (fusing, answering) in enumerate(cores if times else cores[:1]):
+        who = ("", "with visitors ")[number]
+        both = f"{fusing + answering:.2f} cores (goal {GOAL_CORES:g})"
+        print(f"{who}the service used {both}: {fusing:.2f} to fuse, {answering:.2f} for HTTP")
     if times:
+        compare_turns({int(turn): figures for turn, figures in seen["turns"].items()})
         ms = np.array(times) * 1e3
-        rate = len(times) / seconds
-        print(f"{rate:.0f} health requests/s, ms: p50 {np.median(ms):.1f}, p99 {np.percentile(ms, 99):.1f}")
+        print(f"{len(ms)} health requests, ms: p50 {np.median(ms):.1f}, p99 {np.percentile(ms, 99):.1f}")
+
+
+def compare_turns(turns: dict[int, list[float]]) -> None:
+    """Turns with visitors against the turns before them."""
+    pairs = [(turns[turn - 1], turns[turn]) for turn in turns if turn % 2 == 1 and turn - 1 in turns]
+    for number, quantile in enumerate(QUANTILES[:3]):
+        alone, visited = np.array([[before[number], now[number]] for before, now in pairs]).T
+        more = np.median(visited / alone) - 1
+        text = f"p{quantile:g} {np.median(alone):.2f} ms without visitors, {np.median(visited):.2f} ms with them"
+        print(f"{text}: {more:+.0%} in the median of {len(pairs)} pairs of turns (goal for p99: {GOAL_MORE:.0%})")
 
 
 class Service:

@@ -16,6 +16,7 @@ from fuselog.service.rest.metrics import FilterMetrics, add_metrics
 from fuselog.service.rest.players import add_players
 from fuselog.service.rest.probes import Pulse, add_probes
 from fuselog.service.rest.problems import Problem, answer_defect, answer_http, answer_validation, documented
+from fuselog.service.rest.recent import Recent
 from fuselog.service.rest.served import Served
 from fuselog.service.rest.shown import Shown
 from fuselog.service.rest.stream import Streams, add_stream
@@ -66,6 +67,7 @@ def create_app(
     add_metrics(app, [FilterMetrics(shown, traffic)], process)
     if page is not None:
         page(app)
+    app.add_middleware(Recent)
     app.add_middleware(Guard, access=access or Access(), hosts=hosts, traffic=traffic)
     _describe(app)
     return app

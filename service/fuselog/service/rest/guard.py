@@ -16,7 +16,7 @@ LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 PROBES = ("/health/live", "/health/ready", "/health/startup", "/healthz")
 OPEN = ("/", "/openapi.json", *PROBES)  # nothing of a filter is in their answers
 _OPEN_UNDER = "/page/"
-_READING = ("GET", "HEAD", "OPTIONS")
+READING = ("GET", "HEAD", "OPTIONS")
 _MOST_ACTIVE = 64
 _MOST_HEADER_BYTES = 16_384
 _STREAM = "/api/v1/stream"
@@ -48,7 +48,7 @@ class Guard:
             _check_headers(visit)
             self._check_host(visit)
             self._check_token(visit)
-            if visit.method not in _READING:
+            if visit.method not in READING:
                 visit.body = await read_body(visit.headers, receive)
                 receive = _replay(visit.body, receive)
             await self._pass(visit, receive)
@@ -87,10 +87,10 @@ class Guard:
         if len(given) > 1:
             raise Refused(400, "more than one Authorization")
         visit.who = self._access.identify(given[0] if given else None)
-        self._access.check(visit.who, change=visit.method not in _READING)
+        self._access.check(visit.who, change=visit.method not in READING)
 
     def _write(self, visit: "_Visit") -> None:
-        if visit.method in _READING or not visit.status:
+        if visit.method in READING or not visit.status:
             return
         self._audit.write(
             who=None if visit.who is None else visit.who.name,
