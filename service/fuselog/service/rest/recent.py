@@ -9,7 +9,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from fuselog.service.rest.guard import READING
 from fuselog.service.rest.shown import FRESH_S
 
-_ABOUT = "/api/v1/filters"
+_ABOUT, _NOW = "/api/v1/filters", "/state"  # a state is as new as it can be
 _GOOD = (200, 304)
 _MOST_BYTES = 1 << 24  # of all that is kept
 
@@ -25,7 +25,7 @@ class Recent:
         """One request."""
         if scope["type"] != "http" or not scope["path"].startswith(_ABOUT):
             await self._app(scope, receive, send)
-        elif scope["method"] == "GET":
+        elif scope["method"] == "GET" and not scope["path"].endswith(_NOW):
             await self._answer(scope, receive, send)
         else:
             try:
