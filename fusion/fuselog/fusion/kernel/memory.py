@@ -135,7 +135,7 @@ def rows_to_write(kernel: ModuleType, tables: Tables, n: int) -> Rows:
         decision=np.empty(n, np.uint8),
         nis=np.empty(n),
         dof=np.empty(n, np.int64),
-        x=np.empty(n * N + spare),
+        x=np.empty(n * N),
         P=np.empty(numbers) if tables.covariance else np.zeros(numbers),
         nu=np.empty(n * M),
         S=np.empty(n * M),

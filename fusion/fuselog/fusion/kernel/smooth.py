@@ -17,9 +17,9 @@ them, and neither does D: Lambda stays within the information that P accounts fo
 import math
 
 from fuselog.fusion.kernel.advance import admit, insert, write
-from fuselog.fusion.kernel.blank import LD, WIDTH, N, X, adjoin, inject
+from fuselog.fusion.kernel.blank import LD, WIDTH, M, N, X, adjoin, inject
 from fuselog.fusion.kernel.fields import record_at
-from fuselog.fusion.kernel.layout import APART, AT, COVARIANCE, DRIVES_PREVIOUS, FUSED, KNOWN, MARKED, RESETS, ROW, M
+from fuselog.fusion.kernel.layout import APART, AT, COVARIANCE, DRIVES_PREVIOUS, FUSED, KNOWN, MARKED, RESETS, ROW
 from fuselog.fusion.kernel.rows import row_copy, row_scale, row_take
 from fuselog.fusion.kernel.seeding import give_variance
 from fuselog.fusion.kernel.squares import mirror, take_outer

@@ -190,7 +190,7 @@ class Linear(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """What a kernel writes for each event; flat arrays that become a ``Track``, x and P with LD to spare."""
+    """What a kernel writes for each event; flat arrays that become a ``Track``, P with LD to spare."""
 
     t_ns: OutInts  # (n,)
     decision: OwnBytes  # (n,)

@@ -9,9 +9,9 @@ and a quaternion, are averaged through their differences. Q is the model's, adde
 
 import math
 
-from fuselog.fusion.kernel.blank import ANGLES, LD, ROTATION, N, U, X, disturb, inject, move
+from fuselog.fusion.kernel.blank import ANGLES, LD, ROTATION, M, N, U, X, disturb, inject, move
 from fuselog.fusion.kernel.innovation import measure, set_apart
-from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, HP, INPUT, JOSEPH, ROW, SAMPLE, SCRATCH, G, M, rows_of
+from fuselog.fusion.kernel.layout import COVARIANCE, DELTA, HP, INPUT, JOSEPH, ROW, SAMPLE, SCRATCH, G, rows_of
 from fuselog.fusion.kernel.rotations import turn_between
 from fuselog.fusion.kernel.rows import row_add, row_copy, row_scale
 from fuselog.fusion.kernel.scalars import wrap

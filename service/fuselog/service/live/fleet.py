@@ -26,7 +26,7 @@ from fuselog.service.live.outbox import Outbox, Post
 from fuselog.service.live.ownership import Claim
 from fuselog.service.live.runner import Runner, Unknown
 from fuselog.service.live.sources import Progress
-from fuselog.service.live.warm import warm_up
+from fuselog.service.live.warm import warm_up, warm_up_for
 from fuselog.service.progress import tell_progress
 from fuselog.service.recording.filter_recorder import FilterRecorder
 from fuselog.service.ros_keys import announce_node
@@ -121,7 +121,7 @@ class Fleet:
         for group, new in fresh:
             if new.plan.source.text == group.plan.source.text:
                 continue
-            warm_up(new.plan)
+            warm_up_for(new.plan, group.plan)
             for id in [id for id in self._runner.snapshots if self._runner.group_of(id) is group]:
                 self.command(id, Configure(new.plan.source.text))
                 done.append(f"{id} goes on with {group.plan.source.name} as it is now")

@@ -25,6 +25,12 @@ def warm_up(plan: Plan) -> None:
     assess(plan, estimate=filter.estimate, ledger=filter.ledger, recent=no_samples(plan), losses={})
 
 
+def warm_up_for(change: Plan, running: Plan) -> None:
+    """``warm_up``, where a plan that takes the place of another needs kernels that this one has not."""
+    if change.kernel is not running.kernel:
+        warm_up(change)
+
+
 def _decode_one() -> None:
     """Decoding and binding are one kernel each, whatever the type and the model; any sample compiles them."""
     intake = Intake(compile_plan(*parse_config(_SIMPLEST)))

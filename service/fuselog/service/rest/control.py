@@ -12,7 +12,7 @@ from fuselog.fusion.config import GainSettings, Source, did_you_mean
 from fuselog.fusion.config.settings import Settings
 from fuselog.schemas import ConfigError
 from fuselog.service.live.member import Snapshot
-from fuselog.service.live.warm import warm_up
+from fuselog.service.live.warm import warm_up_for
 from fuselog.service.rest.answers import Done, RecordingAnswer, recording_plain
 from fuselog.service.rest.asking import FilterId, SensorName, answer
 from fuselog.service.rest.config_text import with_enabled, with_gain
@@ -180,11 +180,11 @@ async def _configure(shown: Shown, waiting: Waiting, id: str, make: Callable[[],
 
     Kernels that it needs are made here, while the filter goes on.
     """
-    name = shown.snapshot(id).plan.source.name
+    running = shown.snapshot(id).plan
 
     def work() -> None:
         text = make()
-        warm_up(compile_plan(*parse_config(text, name=name)))
+        warm_up_for(compile_plan(*parse_config(text, name=running.source.name)), running)
         shown.served.command(id, Configure(text))
 
     await _follow(waiting, work, within_s=_CONFIGURE_S)
