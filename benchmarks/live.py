@@ -271,14 +271,14 @@ async def visit(url: str, requests: float, clients: int) -> None:
     os._exit(0)
 
 
-def watch(pid: int, seconds: float) -> list[np.ndarray]:
+def watch(pid: int, seconds: float, *, visited: bool) -> list[np.ndarray]:
     """Cores that the two processes use, without visitors and with them; NaN where there was no time."""
     spent, took, end = np.zeros((2, 2)), np.zeros(2), time.time() + seconds
     while (begun := time.time()) < end:
-        before, turn = np.array(cpu_s(pid)), turn_of(begun)
+        before, now = np.array(cpu_s(pid)), turn_of(begun) % 2 if visited else 0
         time.sleep(min(end - begun, TURN_S - begun % TURN_S))
-        spent[turn % 2] += cpu_s(pid) - before
-        took[turn % 2] += time.time() - begun
+        spent[now] += cpu_s(pid) - before
+        took[now] += time.time() - begun
     with np.errstate(invalid="ignore"):
         return [*(spent / took[:, np.newaxis])]
 
@@ -293,11 +293,12 @@ def load(robots: int, seconds: float, requests: float, clients: int) -> None:
         arguments = ["--robots", str(robots), "--seconds", str(seconds), "--publish"]
         sender = subprocess.Popen([*here, *arguments], stdout=subprocess.PIPE, text=True)
         time.sleep(2.5)
-        visits = ["--visit", service.url, "--requests", str(requests), "--clients", str(clients)]
-        visitor = subprocess.Popen([*here, *visits], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        cores = watch(service.process.pid, max(seconds - 3, 1))
+        visits, visitor = ["--visit", service.url, "--requests", str(requests), "--clients", str(clients)], None
+        if requests or clients:
+            visitor = subprocess.Popen([*here, *visits], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        cores = watch(service.process.pid, max(seconds - 3, 1), visited=visitor is not None)
         sent = json.loads(sender.communicate()[0])
-        times = json.loads(visitor.communicate("\n")[0])
+        times = json.loads(visitor.communicate("\n")[0]) if visitor else None
         accounts = [service.get(f"/api/v1/filters/{f['id']}/health") for f in service.get("/api/v1/filters")["filters"]]
         listener.stdin.write("\n")
         listener.stdin.flush()
@@ -323,12 +324,13 @@ def report(robots, seconds, sent, seen, accounts, cores, times) -> None:
     print(f"{seen['estimates']} estimates; sample to estimate, ms: {quantiles} (goal p99 {GOAL_MS:g})")
     delays = [health["delay"]["p99_s"] * 1e3 for health in accounts if health["delay"]]
     print(f"arrival to publication, as the service says, ms: p99 {max(delays):.2f} in the slowest filter")
-    for number, (fusing, answering) in enumerate(cores if times else cores[:1]):
+    for number, (fusing, answering) in enumerate(cores[:1] if times is None else cores):
         who = ("", "with visitors ")[number]
         both = f"{fusing + answering:.2f} cores (goal {GOAL_CORES:g})"
         print(f"{who}the service used {both}: {fusing:.2f} to fuse, {answering:.2f} for HTTP")
-    if times:
+    if times is not None:
         compare_turns({int(turn): figures for turn, figures in seen["turns"].items()})
+    if times:
         ms = np.array(times) * 1e3
         print(f"{len(ms)} health requests, ms: p50 {np.median(ms):.1f}, p99 {np.percentile(ms, 99):.1f}")
 
@@ -336,6 +338,9 @@ def report(robots, seconds, sent, seen, accounts, cores, times) -> None:
 def compare_turns(turns: dict[int, list[float]]) -> None:
     """Turns with visitors against the turns before them."""
     pairs = [(turns[turn - 1], turns[turn]) for turn in turns if turn % 2 == 1 and turn - 1 in turns]
+    if not pairs:
+        print(f"too short for a turn of {TURN_S} s without visitors and one with them")
+        return
     for number, quantile in enumerate(QUANTILES[:3]):
         alone, visited = np.array([[before[number], now[number]] for before, now in pairs]).T
         more = np.median(visited / alone) - 1
