@@ -21,6 +21,8 @@ from fuselog.fusion import (
     compile_plan,
     parse_config,
 )
+from fuselog.fusion.captures import fill
+from fuselog.fusion.captures import plan_of as plan_of_fleet
 from fuselog.fusion.commands import command_text, read_command
 
 ORDERS = ("as_received", "by_stamp")
@@ -275,6 +277,25 @@ def test_configurations_that_cannot_be_gone_on_with(changes, reason: str) -> Non
     with pytest.raises(CommandError, match=reason):
         filter.command(Configure(text_of("point", **changes)))
     assert filter.checkpoint() == before
+
+
+@pytest.mark.parametrize(("given", "named"), [({}, "r0"), ({"id": "{robot}-ekf"}, "r0-ekf")])
+def test_a_filter_of_a_fleet_goes_on_with_another_configuration(given: dict, named: str) -> None:
+    """Whether its name is said, or is that of what its topics capture."""
+    names, topic = (("robot", "r0"),), {"sensors": {"one": {"topic": "/{robot}/one"}, "two": {"topic": "/{robot}/two"}}}
+
+    def text(**changes) -> str:
+        return json.dumps({"fuselog": 1, **merged(merged(CASES["point"].config, **topic), **(given | changes))})
+
+    filter = Filter(plan_of_fleet(compile_plan(*parse_config(text())), names), order="as_received")
+    assert filter.plan.config.id == named
+    for noise in (0.5, 0.6):
+        model = {"name": "constant_velocity", "process_noise": {"ax": noise, "ay": noise}}
+        filter.command(Configure(fill(text(model=model), names)))
+        assert filter.plan.config.model.process_noise["ax"] == noise
+        assert filter.plan.config.id == named
+    with pytest.raises(CommandError, match="started anew to change id"):
+        filter.command(Configure(fill(text(id="other"), names)))
 
 
 def test_sensors_in_another_order_are_refused() -> None:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, cast
 
+from fuselog.fusion.captures import DEFAULT_ID
 from fuselog.fusion.commands import CommandError, SetState
 from fuselog.fusion.config import Config, did_you_mean, parse_config
 from fuselog.fusion.plan import Plan, compile_plan
@@ -41,6 +42,8 @@ def changed_plan(plan: Plan, text: str) -> Plan:
     """The plan of another configuration; raises ``CommandError`` where a running filter cannot go on with it."""
     try:
         config, source = parse_config(text, name=plan.source.name)
+        if config.id == DEFAULT_ID == parse_config(plan.source.text, name=plan.source.name)[0].id:
+            config = config.model_copy(update={"id": plan.config.id})  # as its topics say, where its text says nothing
         differs = _differences(_lasting(plan.config), _lasting(config))
         if list(plan.config.sensors) != list(config.sensors):
             differs = ["the sensors, or their order"]
