@@ -101,7 +101,10 @@ def _set(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 def store(builder: Any, value: Any, place: Any, kind: LanesAt) -> None:
-    """Put vectors of lanes there; what is out goes past the caches, which would read its lines before."""
+    """Put vectors of lanes there; what is out goes past the caches, which would read its lines before.
+
+    It then has to begin with a line (``memory.aligned``), and so has each of its vectors.
+    """
     if kind.out and kind.kept.bitwidth == 64:
         done = builder.store(value, place, align=LINE)
         done.set_metadata("nontemporal", builder.module.add_metadata([ir.IntType(32)(1)]))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from fuselog.fusion.kernel.lanes import LINE
 from fuselog.fusion.kernel.rotations import quaternions_from_rpy
 from fuselog.fusion.kernel.tables import DECISIONS, NEVER, SAMPLE_WIDTH, History, Linear, Rows, Tables, Work
 
@@ -68,10 +69,13 @@ def empty_history(kernel: ModuleType, tables: Tables, capacity: int) -> History:
 
 
 def aligned(count: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """Memory as it is, that begins with a line of the cache, so that a row of P is in one or two of them."""
-    line, size = 64, np.dtype(dtype).itemsize
-    room = np.empty(count + line // size, dtype)
-    first = -room.ctypes.data % line // size
+    """Memory as it is, that begins with a line of the cache: a row of P is in one or two, one of lanes in its own.
+
+    What eight filters write must be such, see ``lanes.store``.
+    """
+    size = np.dtype(dtype).itemsize
+    room = np.empty(count + LINE // size, dtype)
+    first = -room.ctypes.data % LINE // size
     return room[first : first + count]
 
 

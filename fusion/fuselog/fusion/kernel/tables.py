@@ -72,7 +72,7 @@ class Tables(NamedTuple):
     """A configuration in numbers, for S sensors of at most M measured numbers each, N states, K noise densities.
 
     There are V variants of the gain; a filter without a schedule has one. The samples of one moment, a stamp or a cycle
-    of stamps, are weighed by the same variant.
+    of stamps, are weighed by the same variant. M and S are constants in a kernel (``fit.Fit``).
 
     All arrays are flat, row by row; the shapes are those that a row has.
     """
